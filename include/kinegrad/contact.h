@@ -1,0 +1,51 @@
+/* kinegrad/contact.h - compliant contact in a thin layer outside the rigid surface.
+ *
+ * The layer (DESIGN section 6): force starts at Phi = layer and grows without bound towards the
+ * surface, so weight is carried at Phi > 0 and the rigid sample points stay out of the ground.
+ *
+ * Normal force of a point at distance Phi that moves at Phi_dot, with d = layer - Phi > 0:
+ *   f_n = f_layer * d^2 / (layer * Phi) * ramp(1 - damping * Phi_dot)       for Phi >= floor
+ * and its C1 linear continuation below floor = floor_share * layer (inside the ground as well);
+ * exactly zero for Phi >= layer; ramp(u) = max(u, 0) smoothed to C1, so never adhesive.
+ * Friction: f_t = -mu f_n g(|u_t| / stick) u_t / |u_t|,  g(s) = 2 s - s^2 for s < 1, else 1.
+ * C1 everywhere; the derivation and the choice of law are in docs/theory/contact.md. */
+#ifndef KINEGRAD_CONTACT_H
+#define KINEGRAD_CONTACT_H
+
+#include "kinegrad/base.h"
+#include "kinegrad/sdf.h"
+#include "kinegrad/vec3.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct kg_contact_params {
+  double layer;        /* m; thickness of sole and soft tissue; default 0.006                     */
+  double force;        /* N; f_layer, the force of a point at rest at Phi = 0.382 layer; 140      */
+  double floor_share;  /* of the layer; below it the law is continued linearly; default 0.02      */
+  double damping;      /* s/m; share of extra force per approach speed; default 1.0               */
+  double friction;     /* Coulomb coefficient; default 0.9                                        */
+  double stick;        /* m/s; stick velocity of the regularised friction; default 3e-4           */
+} kg_contact_params;
+
+KG_API kg_contact_params kg_contact_default_params(void);
+
+typedef struct kg_contact_force {
+  kg_vec3 f;         /* N, on the body, world axes                            */
+  double normal;     /* N, >= 0                                               */
+  double distance;   /* Phi, m                                                */
+  kg_vec3 direction; /* unit normal of the surface                            */
+  kg_mat3 df_dx;     /* exact derivatives: position, N/m                      */
+  kg_mat3 df_du;     /* velocity, N s/m                                       */
+} kg_contact_force;
+
+/* Force on a body point at x that moves at u (m, m/s). False, and *out zero apart from distance
+ * and direction, when the point is outside the layer. Derivatives only when asked for. */
+KG_API bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
+                                kg_vec3 u, bool derivatives, kg_contact_force *out);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

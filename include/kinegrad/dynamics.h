@@ -1,0 +1,70 @@
+/* kinegrad/dynamics.h - kinematics and dynamics of a body: RNEA, CRBA, momentum and derivatives.
+ *
+ * Spatial quantities are in world axes about the origin O = root position of the call's q, which is
+ * held fixed while differentiating. Units SI. Gravity acts along -Y unless set otherwise.
+ *
+ * [RBDA] R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008.
+ * [SRW]  S. Singh, R. P. Russell, P. M. Wensing, Efficient analytical derivatives of rigid-body
+ *        dynamics using spatial vector algebra, IEEE RA-L 7(2), 2022. */
+#ifndef KINEGRAD_DYNAMICS_H
+#define KINEGRAD_DYNAMICS_H
+
+#include "kinegrad/body.h"
+#include "kinegrad/spatial.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Per-body results of a call and scratch. One per thread. */
+typedef struct kg_dynamics kg_dynamics;
+
+KG_API KG_MUST_USE kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
+                                                const kg_allocator *allocator);
+KG_API void kg_dynamics_destroy(kg_dynamics *dynamics);
+/* default (0, -9.8, 0) m/s^2 */
+KG_API void kg_dynamics_set_gravity(kg_dynamics *dynamics, kg_vec3 gravity);
+
+/* World pose of every segment: joint positions p[n] (m) and rotations R[n]; either may be NULL. */
+KG_API void kg_dynamics_pose(kg_dynamics *dynamics, const double *q, kg_vec3 *p, kg_mat3 *R);
+
+/* Velocities of the joints' origins (world, m/s) and angular velocities of the segments (world,
+ * rad/s), with the pose; any output may be NULL. */
+KG_API void kg_dynamics_velocity(kg_dynamics *dynamics, const double *q, const double *v,
+                                 kg_vec3 *p, kg_mat3 *R, kg_vec3 *p_dot, kg_vec3 *w);
+
+/* tau[nv] = ID(q, v, a): forces that produce a under gravity, no contact [RBDA, Table 5.1]. */
+KG_API void kg_dynamics_inverse(kg_dynamics *dynamics, double *tau, const double *q,
+                                const double *v, const double *a);
+
+/* M[nv*nv], row-major, full symmetric [RBDA, Table 6.2]. */
+KG_API void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q);
+
+/* dtau/dq (tangent space, right perturbation), dtau/dv, dtau/da = M; each nv*nv row-major, each may
+ * be NULL. Also tau when not NULL. [SRW, Table I] */
+KG_API void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, double *dtau_dv,
+                                            double *M, double *tau, const double *q,
+                                            const double *v, const double *a);
+
+typedef struct kg_centroid {
+  double mass;     /* kg                                             */
+  kg_vec3 com;     /* world, m                                       */
+  kg_vec3 com_dot; /* m/s                                            */
+  kg_vec3 L;       /* angular momentum about the com, kg m^2/s       */
+  kg_mat3 I;       /* rotational inertia of the locked body about the com, world axes, kg m^2 */
+} kg_centroid;
+
+/* v may be NULL: then com_dot and L are zero. */
+KG_API kg_centroid kg_dynamics_centroid(kg_dynamics *dynamics, const double *q, const double *v);
+
+/* World position of a body point; J (3*nv row-major, may be NULL) with p_dot = J v. */
+KG_API kg_vec3 kg_dynamics_point(kg_dynamics *dynamics, double *J, const double *q,
+                                 kg_body_point point);
+
+/* Kinetic plus potential energy, J (potential zero at height 0). */
+KG_API double kg_dynamics_energy(kg_dynamics *dynamics, const double *q, const double *v);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

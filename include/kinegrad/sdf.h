@@ -1,0 +1,122 @@
+/* kinegrad/sdf.h - signed distance fields: shapes, triangle meshes, and scenes made of them.
+ *
+ * Phi(x) in metres: positive outside the solid, negative inside, zero on the surface (the paper,
+ * section III.C). All points in world coordinates unless said otherwise. */
+#ifndef KINEGRAD_SDF_H
+#define KINEGRAD_SDF_H
+
+#include "kinegrad/base.h"
+#include "kinegrad/quat.h"
+#include "kinegrad/vec3.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Value and derivatives of Phi at a point. Where Phi has no gradient (medial axis, a vertex hit
+ * exactly) normal is one of the directions in which Phi grows fastest. */
+typedef struct kg_sdf_value {
+  double distance;  /* m                                                   */
+  kg_vec3 normal;   /* unit gradient                                       */
+  double hessian[6]; /* second derivatives, 1/m: xx yy zz xy xz yz; exact almost everywhere */
+} kg_sdf_value;
+
+/* ---- single shapes (sdf/shapes.c) ------------------------------------------------------------ */
+
+/* Half-space below the plane through point with unit normal. */
+KG_API kg_sdf_value kg_sdf_plane(kg_vec3 point, kg_vec3 normal, kg_vec3 x);
+KG_API kg_sdf_value kg_sdf_sphere(kg_vec3 center, double radius, kg_vec3 x);
+/* Box with the given half sizes (m), centre and orientation. */
+KG_API kg_sdf_value kg_sdf_box(kg_vec3 center, kg_quat orientation, kg_vec3 half, kg_vec3 x);
+/* Capsule around the segment from a to b; a may equal b: a ball. */
+KG_API kg_sdf_value kg_sdf_capsule(kg_vec3 a, kg_vec3 b, double radius, kg_vec3 x);
+
+/* Height field: ground y = height(x, z) on a regular grid, bilinear cells split into two
+ * triangles (lower-left to upper-right diagonal); solid below. Exact distance to the triangles.
+ * Outside the grid the border heights continue outwards. */
+typedef struct kg_height_field kg_height_field;
+
+/* heights: (rows, columns), row index along z, column along x; spacing > 0 in m; rows, columns >= 2.
+ * origin: world position of heights[0] at height 0. Copied. */
+KG_API KG_MUST_USE kg_status kg_height_field_create(kg_height_field **field, const double *heights,
+                                                    int rows, int columns, double spacing,
+                                                    kg_vec3 origin, const kg_allocator *allocator);
+KG_API void kg_height_field_destroy(kg_height_field *field);
+KG_API kg_sdf_value kg_height_field_distance(const kg_height_field *field, kg_vec3 x);
+
+/* ---- triangle meshes (sdf/mesh.c; files through OpenMesh in sdf/openmesh_shim.cpp) ------------ */
+
+typedef struct kg_mesh kg_mesh;
+
+/* What was found while building; text holds one line per finding, "" when the mesh is clean. */
+typedef struct kg_mesh_report {
+  int vertices, triangles;
+  int boundary_edges;     /* > 0: open; distance is then signed by the nearest side only */
+  int non_manifold_edges;
+  int inconsistent_edges; /* two faces with opposite orientation                        */
+  int degenerate;         /* faces of zero area, removed                                */
+  int duplicates;         /* repeated faces, removed                                    */
+  bool closed;
+  bool inside_out;        /* closed, negative volume; was turned around                 */
+  double volume;          /* m^3, when closed                                           */
+  char text[1024];
+} kg_mesh_report;
+
+/* vertices: (vertex_count) points in m; triangles: (triangle_count, 3) indices, counter-clockwise
+ * from outside. Copied into flat arrays with a bounding-volume hierarchy.
+ * KG_ERR_FORMAT: an index out of range, a vertex that is not finite, no triangle left. */
+KG_API KG_MUST_USE kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *vertices,
+                                            int vertex_count, const int *triangles,
+                                            int triangle_count, kg_mesh_report *report,
+                                            const kg_allocator *allocator, kg_error *error);
+
+/* OBJ, PLY, OFF or STL through OpenMesh; polygons are triangulated; lengths times unit_m. */
+KG_API KG_MUST_USE kg_status kg_mesh_read(kg_mesh **mesh, const char *path, double unit_m,
+                                          kg_mesh_report *report, const kg_allocator *allocator,
+                                          kg_error *error);
+KG_API void kg_mesh_destroy(kg_mesh *mesh);
+
+/* Exact signed distance; sign by angle-weighted pseudo-normals [BAER] J. A. Baerentzen, H. Aanaes,
+ * Signed distance computation using the angle weighted pseudonormal, IEEE TVCG 11(3), 2005. */
+KG_API kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x);
+
+/* ---- scenes ---------------------------------------------------------------------------------- */
+
+typedef enum kg_shape_kind {
+  KG_SHAPE_PLANE,
+  KG_SHAPE_SPHERE,
+  KG_SHAPE_BOX,
+  KG_SHAPE_CAPSULE,
+  KG_SHAPE_HEIGHT_FIELD,
+  KG_SHAPE_MESH
+} kg_shape_kind;
+
+typedef struct kg_shape {
+  kg_shape_kind kind;
+  kg_vec3 a, b;         /* plane: point, unit normal; sphere: centre, -; box: centre, half sizes;
+                           capsule: both ends                                                  */
+  double radius;        /* sphere, capsule                                                     */
+  kg_quat orientation;  /* box                                                                 */
+  const kg_height_field *field; /* borrowed */
+  const kg_mesh *mesh;          /* borrowed */
+} kg_shape;
+
+enum { KG_SCENE_MAX_SHAPES = 32 };
+
+/* A scene is the union of its shapes: Phi = min over shapes. A plain value; copies share the
+ * borrowed meshes and fields. */
+typedef struct kg_scene {
+  int shape_count;
+  kg_shape shapes[KG_SCENE_MAX_SHAPES];
+} kg_scene;
+
+/* Scene with one plane through (0, height, 0), normal given (need not be unit). */
+KG_API kg_scene kg_scene_ground(double height, kg_vec3 normal);
+/* False when the scene is full. */
+KG_API bool kg_scene_add(kg_scene *scene, const kg_shape *shape);
+KG_API kg_sdf_value kg_scene_distance(const kg_scene *scene, kg_vec3 x);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
