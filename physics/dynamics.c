@@ -1,0 +1,703 @@
+/* Kinematics and dynamics of a body of ball joints: recursive Newton-Euler, mass matrix, momentum
+ * and the analytic derivatives of inverse dynamics.
+ *
+ * Equation numbers refer to docs/theory/dynamics.md.
+ * [RBDA] R. Featherstone, Rigid Body Dynamics Algorithms, Springer 2008.
+ * [SRW]  S. Singh, R. P. Russell, P. M. Wensing, Efficient analytical derivatives of rigid-body
+ *        dynamics using spatial vector algebra, IEEE RA-L 7(2), 2022.
+ *
+ * World axes; all spatial quantities about O, the root position of the call's q, which does not
+ * move while differentiating. [a] is the matrix of the cross product with a, R' the transpose. */
+#include "physics/physics.h"
+#include "physics/tree.h"
+
+#include <string.h>
+
+/* ---- small matrices ---------------------------------------------------------------------------*/
+
+/* C += A' B */
+static inline void add_tmul(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
+{
+  for (int i = 0; i < 3; i++) {
+    const double a0 = A->m[i], a1 = A->m[3 + i], a2 = A->m[6 + i];
+    for (int j = 0; j < 3; j++) {
+      C->m[3 * i + j] += a0 * B->m[j] + a1 * B->m[3 + j] + a2 * B->m[6 + j];
+    }
+  }
+}
+
+/* C += A B */
+static inline void add_mul(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
+{
+  for (int i = 0; i < 3; i++) {
+    const double a0 = A->m[3 * i], a1 = A->m[3 * i + 1], a2 = A->m[3 * i + 2];
+    for (int j = 0; j < 3; j++) {
+      C->m[3 * i + j] += a0 * B->m[j] + a1 * B->m[3 + j] + a2 * B->m[6 + j];
+    }
+  }
+}
+
+/* C += s [a] B: every column of B crossed from the left */
+static inline void add_cross(kg_mat3 *C, double s, kg_vec3 a, const kg_mat3 *B)
+{
+  a = kg_vec3_scale(s, a);
+  for (int j = 0; j < 3; j++) {
+    const double x = B->m[j], y = B->m[3 + j], z = B->m[6 + j];
+    C->m[j] += a.y * z - a.z * y;
+    C->m[3 + j] += a.z * x - a.x * z;
+    C->m[6 + j] += a.x * y - a.y * x;
+  }
+}
+
+/* C += s B */
+static inline void add_scaled(kg_mat3 *C, double s, const kg_mat3 *B)
+{
+  for (int k = 0; k < 9; k++) {
+    C->m[k] += s * B->m[k];
+  }
+}
+
+/* [a] B */
+static inline kg_mat3 cross(kg_vec3 a, const kg_mat3 *B)
+{
+  kg_mat3 C = {{0.0}};
+  add_cross(&C, 1.0, a, B);
+  return C;
+}
+
+static inline kg_mat3 symmetric(const double s[6])
+{
+  const kg_mat3 A = {{s[0], s[3], s[4], s[3], s[1], s[5], s[4], s[5], s[2]}};
+  return A;
+}
+
+static inline void set_symmetric(double s[6], const kg_mat3 *A)
+{
+  s[0] = A->m[0];
+  s[1] = A->m[4];
+  s[2] = A->m[8];
+  s[3] = A->m[1];
+  s[4] = A->m[2];
+  s[5] = A->m[5];
+}
+
+static inline kg_vec3 symmetric_mul(const double s[6], kg_vec3 a)
+{
+  return kg_vec3_make(s[0] * a.x + s[3] * a.y + s[4] * a.z, s[3] * a.x + s[1] * a.y + s[5] * a.z,
+                      s[4] * a.x + s[5] * a.y + s[2] * a.z);
+}
+
+/* m x S, column by column   [RBDA] (2.31) */
+static inline kg_mat63 motion_cross(kg_motion m, const kg_mat63 *S)
+{
+  kg_mat63 C = {cross(m.w, &S->w), cross(m.w, &S->v)};
+  add_cross(&C.v, 1.0, m.v, &S->w);
+  return C;
+}
+
+/* ---- object -----------------------------------------------------------------------------------*/
+
+static void copy_segments(kg_dynamics *d, const kg_body *body)
+{
+  for (int i = 0; i < body->segment_count; i++) {
+    const kg_segment *s = &body->segments[i];
+    kg_link *l = &d->links[i];
+    l->parent = s->parent;
+    l->mass = s->mass;
+    l->offset = i == 0 ? kg_vec3_make(0.0, 0.0, 0.0) : s->offset;
+    l->com = s->com;
+    memcpy(l->inertia, s->inertia, sizeof l->inertia);
+  }
+}
+
+kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
+                             const kg_allocator *allocator)
+{
+  *dynamics = NULL;
+  kg_arena arena;
+  kg_arena_init(&arena, allocator);
+  const int n = body->segment_count;
+  kg_dynamics *d = KG_ARENA_ARRAY(&arena, kg_dynamics, 1);
+  kg_dynamics made = {.body = body, .gravity = {0.0, -9.8, 0.0}, .n = n};
+  made.links = KG_ARENA_ARRAY(&arena, kg_link, n);
+  made.S = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
+  made.psi = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
+  made.psi_dot = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
+  made.S_dot = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
+  made.sum = KG_ARENA_ARRAY(&arena, kg_composite, n + 1);
+  made.pencil = KG_ARENA_ARRAY(&arena, kg_pencil, n + 1);
+  kg_tree_init(&made.tree, body, &arena);
+  kg_tree_matrix_init(&made.A, &made.tree, &arena);
+  if (kg_arena_failed(&arena)) {
+    kg_arena_release(&arena);
+    return KG_ERR_NO_MEMORY;
+  }
+  made.S[0].v = kg_mat3_identity(); /* block 0 moves the root along the world's axes */
+  made.arena = arena;
+  *d = made;
+  copy_segments(d, body);
+  *dynamics = d;
+  return KG_OK;
+}
+
+void kg_dynamics_destroy(kg_dynamics *dynamics)
+{
+  if (dynamics) {
+    kg_arena arena = dynamics->arena; /* the arena holds the object itself */
+    kg_arena_release(&arena);
+  }
+}
+
+void kg_dynamics_set_gravity(kg_dynamics *dynamics, kg_vec3 gravity)
+{
+  dynamics->gravity = gravity;
+}
+
+/* ---- stages of inverse dynamics ---------------------------------------------------------------*/
+
+/* (1) R_i = R_parent Q_i, p_i = p_parent + R_parent offset_i, c_i = p_i + R_i com_i */
+void kg_links_pose(kg_dynamics *d, const double *q)
+{
+  d->origin = kg_load3(q);
+  for (int i = 0; i < d->n; i++) {
+    kg_link *l = &d->links[i];
+    l->R = kg_quat_matrix(kg_state_quat(q, i));
+    if (i > 0) {
+      const kg_link *up = &d->links[l->parent];
+      l->R = kg_mat3_mul(up->R, l->R);
+      l->p = kg_vec3_add(up->p, kg_mat3_mul_vec(up->R, l->offset));
+    }
+    l->c = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, l->com));
+  }
+}
+
+/* (2) */
+void kg_links_velocity(kg_dynamics *d, const double *v)
+{
+  for (int i = 0; i < d->n; i++) {
+    kg_link *l = &d->links[i];
+    l->w = kg_mat3_mul_vec(l->R, kg_load3(v + 3 + 3 * i));
+    l->p_dot = kg_load3(v);
+    if (i > 0) {
+      const kg_link *up = &d->links[l->parent];
+      l->w = kg_vec3_add(l->w, up->w);
+      l->p_dot = kg_vec3_add(up->p_dot, kg_vec3_cross(up->w, kg_vec3_sub(l->p, up->p)));
+    }
+  }
+}
+
+/* (3); the root is accelerated by -gravity in place of weights on every segment */
+void kg_links_acceleration(kg_dynamics *d, const double *v, const double *a)
+{
+  for (int i = 0; i < d->n; i++) {
+    kg_link *l = &d->links[i];
+    l->alpha = kg_mat3_mul_vec(l->R, kg_load3(a + 3 + 3 * i));
+    l->p_ddot = kg_vec3_sub(kg_load3(a), d->gravity);
+    if (i > 0) {
+      const kg_link *up = &d->links[l->parent];
+      const kg_vec3 arm = kg_vec3_sub(l->p, up->p);
+      const kg_vec3 relative = kg_mat3_mul_vec(l->R, kg_load3(v + 3 + 3 * i));
+      l->alpha = kg_vec3_add(l->alpha, kg_vec3_add(up->alpha, kg_vec3_cross(up->w, relative)));
+      l->p_ddot =
+        kg_vec3_add(up->p_ddot, kg_vec3_add(kg_vec3_cross(up->alpha, arm),
+                                            kg_vec3_cross(up->w, kg_vec3_cross(up->w, arm))));
+    }
+  }
+}
+
+/* (4) Newton for the centre of mass, Euler in the segment's own axes, moment moved to O */
+void kg_links_inertial(kg_dynamics *d)
+{
+  for (int i = 0; i < d->n; i++) {
+    kg_link *l = &d->links[i];
+    const kg_vec3 arm = kg_vec3_sub(l->c, l->p);
+    const kg_vec3 c_ddot =
+      kg_vec3_add(l->p_ddot, kg_vec3_add(kg_vec3_cross(l->alpha, arm),
+                                         kg_vec3_cross(l->w, kg_vec3_cross(l->w, arm))));
+    const kg_vec3 w = kg_mat3_mul_vec_t(l->R, l->w);
+    const kg_vec3 alpha = kg_mat3_mul_vec_t(l->R, l->alpha);
+    const kg_vec3 euler =
+      kg_vec3_add(symmetric_mul(l->inertia, alpha), kg_vec3_cross(w, symmetric_mul(l->inertia, w)));
+    l->inertial.f = kg_vec3_scale(l->mass, c_ddot);
+    l->inertial.n = kg_vec3_add(kg_mat3_mul_vec(l->R, euler), kg_vec3_cross(l->c, l->inertial.f));
+  }
+}
+
+/* (5) tau_i = R_i' (n_i - p_i x f_i) of the forces summed over the subtree; f at the root */
+void kg_links_project(const kg_dynamics *d, double *tau)
+{
+  memset(tau, 0, (size_t)(3 + 3 * d->n) * sizeof *tau);
+  /* the sums are kept where they will be projected; the linear part needs a place of its own */
+  kg_composite *sum = d->sum + 1;
+  for (int i = 0; i < d->n; i++) {
+    sum[i].inertial = kg_force_sub(d->links[i].inertial, d->links[i].external);
+  }
+  for (int i = d->n - 1; i >= 0; i--) {
+    const kg_link *l = &d->links[i];
+    const kg_force f = sum[i].inertial;
+    const kg_vec3 moment = kg_vec3_sub(f.n, kg_vec3_cross(l->p, f.f));
+    kg_store3(tau + 3 + 3 * i, kg_mat3_mul_vec_t(l->R, moment));
+    if (i > 0) {
+      sum[l->parent].inertial = kg_force_add(sum[l->parent].inertial, f);
+    }
+  }
+  kg_store3(tau, sum[0].inertial.f);
+}
+
+/* ---- composites and derivatives ---------------------------------------------------------------*/
+
+/* Velocity and acceleration of the segment as spatial vectors at O: of the body-fixed point at O. */
+static kg_motion spatial_velocity(const kg_link *l)
+{
+  const kg_motion m = {l->w, kg_vec3_add(l->p_dot, kg_vec3_cross(l->p, l->w))};
+  return m;
+}
+
+static kg_motion spatial_acceleration(const kg_link *l)
+{
+  const kg_vec3 turn = kg_vec3_sub(kg_vec3_cross(l->p, l->alpha), kg_vec3_cross(l->w, l->p_dot));
+  const kg_motion m = {l->alpha, kg_vec3_add(l->p_ddot, turn)};
+  return m;
+}
+
+/* (6) inertia about O in world axes */
+static kg_inertia world_inertia(const kg_link *l)
+{
+  const kg_mat3 inner = symmetric(l->inertia);
+  kg_mat3 I = kg_mat3_mul(kg_mat3_mul(l->R, inner), kg_mat3_transposed(l->R));
+  const kg_vec3 h = kg_vec3_scale(l->mass, l->c);
+  const double hc = kg_vec3_dot(h, l->c);
+  I = kg_mat3_add(I, kg_mat3_scale(-1.0, kg_mat3_outer(h, l->c)));
+  kg_inertia J = {.mass = l->mass, .h = h};
+  set_symmetric(J.I, &I);
+  for (int k = 0; k < 3; k++) {
+    J.I[k] += hc;
+  }
+  return J;
+}
+
+/* (12) Bs = [w] I + ([w] I)' - (v h' + h v' - 2 v.h 1) */
+static void coriolis_symmetric(double Bs[6], const kg_inertia *J, kg_motion m)
+{
+  const kg_mat3 I = symmetric(J->I);
+  const kg_mat3 WI = cross(m.w, &I);
+  const double vh = 2.0 * kg_vec3_dot(m.v, J->h);
+  Bs[0] = 2.0 * (WI.m[0] - m.v.x * J->h.x) + vh;
+  Bs[1] = 2.0 * (WI.m[4] - m.v.y * J->h.y) + vh;
+  Bs[2] = 2.0 * (WI.m[8] - m.v.z * J->h.z) + vh;
+  Bs[3] = WI.m[1] + WI.m[3] - (m.v.x * J->h.y + m.v.y * J->h.x);
+  Bs[4] = WI.m[2] + WI.m[6] - (m.v.x * J->h.z + m.v.z * J->h.x);
+  Bs[5] = WI.m[5] + WI.m[7] - (m.v.y * J->h.z + m.v.z * J->h.y);
+}
+
+void kg_tree_clear_external(kg_dynamics *d)
+{
+  for (int b = 0; b <= d->n; b++) {
+    d->sum[b].loaded = false;
+    d->sum[b].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+  }
+}
+
+static void add_mat66(kg_mat66 *A, const kg_mat66 *B)
+{
+  add_scaled(&A->ww, 1.0, &B->ww);
+  add_scaled(&A->wv, 1.0, &B->wv);
+  add_scaled(&A->vw, 1.0, &B->vw);
+  add_scaled(&A->vv, 1.0, &B->vv);
+}
+
+static void add_composite(kg_composite *A, const kg_composite *B)
+{
+  kg_inertia_add(&A->I, &B->I);
+  for (int k = 0; k < 6; k++) {
+    A->Bs[k] += B->Bs[k];
+  }
+  A->momentum = kg_force_add(A->momentum, B->momentum);
+  A->inertial = kg_force_add(A->inertial, B->inertial);
+  if (!B->loaded) {
+    return;
+  }
+  A->external = kg_force_add(A->external, B->external);
+  if (A->loaded) {
+    add_mat66(&A->K, &B->K);
+    add_mat66(&A->D, &B->D);
+  } else {
+    A->loaded = true;
+    A->K = B->K;
+    A->D = B->D;
+  }
+}
+
+/* (7), (10): S and its rates for the block of link i */
+static void motion_subspace(kg_dynamics *d, int i)
+{
+  const kg_link *l = &d->links[i];
+  const int b = i + 1;
+  d->S[b].w = l->R;
+  d->S[b].v = cross(l->p, &l->R);
+  kg_motion v_up, a_up;
+  if (i > 0) {
+    v_up = spatial_velocity(&d->links[l->parent]);
+    a_up = spatial_acceleration(&d->links[l->parent]);
+  } else { /* block 0: a body without mass that only translates */
+    v_up = (kg_motion){{0.0, 0.0, 0.0}, l->p_dot};
+    a_up = (kg_motion){{0.0, 0.0, 0.0}, l->p_ddot};
+  }
+  d->psi[b] = motion_cross(v_up, &d->S[b]);
+  d->psi_dot[b] = motion_cross(a_up, &d->S[b]);
+  const kg_mat63 twice = motion_cross(v_up, &d->psi[b]);
+  add_scaled(&d->psi_dot[b].w, 1.0, &twice.w);
+  add_scaled(&d->psi_dot[b].v, 1.0, &twice.v);
+  d->S_dot[b] = motion_cross(spatial_velocity(l), &d->S[b]);
+}
+
+void kg_tree_prepare(kg_dynamics *d)
+{
+  for (int i = 0; i < d->n; i++) {
+    const kg_link *l = &d->links[i];
+    kg_composite *own = &d->sum[i + 1];
+    const kg_motion v = spatial_velocity(l);
+    motion_subspace(d, i);
+    own->I = world_inertia(l);
+    own->momentum = kg_inertia_mul(&own->I, v);
+    own->inertial = l->inertial;
+    coriolis_symmetric(own->Bs, &own->I, v);
+  }
+  for (int i = d->n - 1; i > 0; i--) {
+    add_composite(&d->sum[d->links[i].parent + 1], &d->sum[i + 1]);
+  }
+  d->sum[0] = d->sum[1];
+}
+
+/* What a row of block b is made of: S_b' (d inertial - d external) = G' U + Q' W - E T - F U (15) */
+typedef struct row_factors {
+  kg_mat63 Q; /* I S                     */
+  kg_mat3 G;  /* (2 B)' S, angular rows  */
+  kg_mat63 E; /* (K - external x*)' S    */
+  kg_mat63 F; /* D' S                    */
+} row_factors;
+
+static kg_mat63 inertia_mul(const kg_inertia *J, const kg_mat63 *S)
+{
+  const kg_mat3 I = symmetric(J->I);
+  kg_mat63 Q = {kg_mat3_mul(I, S->w), kg_mat3_scale(J->mass, S->v)};
+  add_cross(&Q.w, 1.0, J->h, &S->v);
+  add_cross(&Q.v, -1.0, J->h, &S->w);
+  return Q;
+}
+
+static kg_mat63 mat66_tmul(const kg_mat66 *K, const kg_mat63 *S)
+{
+  kg_mat63 E = {{{0.0}}, {{0.0}}};
+  add_tmul(&E.w, &K->ww, &S->w);
+  add_tmul(&E.w, &K->vw, &S->v);
+  add_tmul(&E.v, &K->wv, &S->w);
+  add_tmul(&E.v, &K->vv, &S->v);
+  return E;
+}
+
+static void make_row(row_factors *row, const kg_composite *c, const kg_mat63 *S)
+{
+  const kg_mat3 Bs = symmetric(c->Bs);
+  row->Q = inertia_mul(&c->I, S);
+  row->G = kg_mat3_mul(Bs, S->w);
+  add_cross(&row->G, 1.0, c->momentum.n, &S->w);
+  add_cross(&row->G, 2.0, c->momentum.f, &S->v);
+  if (c->loaded) {
+    row->E = mat66_tmul(&c->K, S);
+    row->F = mat66_tmul(&c->D, S);
+    /* minus the transpose of T -> T x* external */
+    add_cross(&row->E.w, -1.0, c->external.n, &S->w);
+    add_cross(&row->E.w, -1.0, c->external.f, &S->v);
+    add_cross(&row->E.v, -1.0, c->external.f, &S->w);
+  }
+}
+
+/* A[b, a] for a on the path to b */
+static kg_mat3 row_block(const row_factors *row, bool loaded, const kg_pencil *a)
+{
+  kg_mat3 A = {{0.0}};
+  add_tmul(&A, &row->G, &a->U.w);
+  add_tmul(&A, &row->Q.w, &a->W.w);
+  add_tmul(&A, &row->Q.v, &a->W.v);
+  if (loaded) {
+    kg_mat3 C = {{0.0}};
+    add_tmul(&C, &row->E.w, &a->T.w);
+    add_tmul(&C, &row->E.v, &a->T.v);
+    add_tmul(&C, &row->F.w, &a->U.w);
+    add_tmul(&C, &row->F.v, &a->U.v);
+    add_scaled(&A, -1.0, &C);
+  }
+  return A;
+}
+
+static void mat66_subtract_mul(kg_mat63 *X, const kg_mat66 *K, const kg_mat63 *T)
+{
+  kg_mat63 E = {{{0.0}}, {{0.0}}};
+  add_mul(&E.w, &K->ww, &T->w);
+  add_mul(&E.w, &K->wv, &T->v);
+  add_mul(&E.v, &K->vw, &T->w);
+  add_mul(&E.v, &K->vv, &T->v);
+  add_scaled(&X->w, -1.0, &E.w);
+  add_scaled(&X->v, -1.0, &E.v);
+}
+
+/* (16) the forces on the subtree of b per unit of its own pencil, seen from an ancestor */
+static kg_mat63 column_force(const kg_composite *c, const kg_pencil *b)
+{
+  const kg_mat3 Bs = symmetric(c->Bs);
+  kg_mat63 X = inertia_mul(&c->I, &b->W);
+  add_mul(&X.w, &Bs, &b->U.w);
+  add_cross(&X.w, -1.0, c->momentum.n, &b->U.w);
+  add_cross(&X.v, -2.0, c->momentum.f, &b->U.w);
+  /* T x* inertial */
+  add_cross(&X.w, -1.0, c->inertial.n, &b->T.w);
+  add_cross(&X.w, -1.0, c->inertial.f, &b->T.v);
+  add_cross(&X.v, -1.0, c->inertial.f, &b->T.w);
+  if (c->loaded) {
+    mat66_subtract_mul(&X, &c->K, &b->T);
+    mat66_subtract_mul(&X, &c->D, &b->U);
+  }
+  return X;
+}
+
+void kg_tree_jacobian(const kg_dynamics *d, kg_tree_matrix *A)
+{
+  const kg_tree *tree = &d->tree;
+  for (int b = 0; b < tree->blocks; b++) {
+    const kg_composite *c = &d->sum[b];
+    const int start = tree->start[b], depth = tree->depth[b];
+    row_factors row;
+    make_row(&row, c, &d->S[b]);
+    const kg_mat63 X = column_force(c, &d->pencil[b]);
+    for (int k = 0; k <= depth; k++) {
+      A->low[start + k] = row_block(&row, c->loaded, &d->pencil[tree->path[start + k]]);
+    }
+    for (int k = 0; k < depth; k++) {
+      const kg_mat63 *S = &d->S[tree->path[start + k]];
+      kg_mat3 block = {{0.0}};
+      add_tmul(&block, &S->w, &X.w);
+      add_tmul(&block, &S->v, &X.v);
+      A->up[start + k] = block;
+    }
+  }
+}
+
+/* Sums of inertia over the subtrees, for the mass matrix alone. */
+static void composite_inertia(kg_dynamics *d)
+{
+  for (int i = 0; i < d->n; i++) {
+    d->S[i + 1].w = d->links[i].R;
+    d->S[i + 1].v = cross(d->links[i].p, &d->links[i].R);
+    d->sum[i + 1].I = world_inertia(&d->links[i]);
+  }
+  for (int i = d->n - 1; i > 0; i--) {
+    kg_inertia_add(&d->sum[d->links[i].parent + 1].I, &d->sum[i + 1].I);
+  }
+  d->sum[0].I = d->sum[1].I;
+}
+
+/* (8) M_ba = S_b' I_b S_a for a on the path to b */
+static void mass_matrix(const kg_dynamics *d, kg_tree_matrix *A)
+{
+  const kg_tree *tree = &d->tree;
+  for (int b = 0; b < tree->blocks; b++) {
+    const kg_mat63 Q = inertia_mul(&d->sum[b].I, &d->S[b]);
+    for (int e = tree->start[b]; e <= tree->start[b] + tree->depth[b]; e++) {
+      const kg_mat63 *S = &d->S[tree->path[e]];
+      kg_mat3 block = {{0.0}};
+      add_tmul(&block, &Q.w, &S->w);
+      add_tmul(&block, &Q.v, &S->v);
+      A->low[e] = block;
+      A->up[e] = kg_mat3_transposed(block);
+    }
+    kg_mat3 *own = &A->low[tree->start[b] + tree->depth[b]]; /* symmetric but for rounding */
+    own->m[3] = own->m[1];
+    own->m[6] = own->m[2];
+    own->m[7] = own->m[5];
+  }
+}
+
+void kg_links_mass_diagonal(kg_dynamics *d, double *diagonal)
+{
+  composite_inertia(d);
+  for (int b = 0; b <= d->n; b++) {
+    const kg_mat63 *S = &d->S[b];
+    const kg_mat63 Q = inertia_mul(&d->sum[b].I, S);
+    for (int k = 0; k < 3; k++) {
+      double sum = 0.0;
+      for (int r = k; r < 9; r += 3) {
+        sum += Q.w.m[r] * S->w.m[r] + Q.v.m[r] * S->v.m[r];
+      }
+      diagonal[3 * b + k] = sum;
+    }
+  }
+}
+
+/* ---- public calls -----------------------------------------------------------------------------*/
+
+void kg_dynamics_pose(kg_dynamics *dynamics, const double *q, kg_vec3 *p, kg_mat3 *R)
+{
+  kg_dynamics_velocity(dynamics, q, NULL, p, R, NULL, NULL);
+}
+
+void kg_dynamics_velocity(kg_dynamics *dynamics, const double *q, const double *v, kg_vec3 *p,
+                          kg_mat3 *R, kg_vec3 *p_dot, kg_vec3 *w)
+{
+  KG_ASSERT(v || (!p_dot && !w));
+  kg_links_pose(dynamics, q);
+  if (p_dot || w) {
+    kg_links_velocity(dynamics, v);
+  }
+  for (int i = 0; i < dynamics->n; i++) {
+    const kg_link *l = &dynamics->links[i];
+    if (p) {
+      p[i] = kg_vec3_add(dynamics->origin, l->p);
+    }
+    if (R) {
+      R[i] = l->R;
+    }
+    if (p_dot) {
+      p_dot[i] = l->p_dot;
+    }
+    if (w) {
+      w[i] = l->w;
+    }
+  }
+}
+
+static void clear_link_external(kg_dynamics *d)
+{
+  for (int i = 0; i < d->n; i++) {
+    d->links[i].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+  }
+}
+
+static void run_inverse(kg_dynamics *d, const double *q, const double *v, const double *a)
+{
+  kg_links_pose(d, q);
+  kg_links_velocity(d, v);
+  kg_links_acceleration(d, v, a);
+  kg_links_inertial(d);
+  clear_link_external(d);
+}
+
+void kg_dynamics_inverse(kg_dynamics *dynamics, double *tau, const double *q, const double *v,
+                         const double *a)
+{
+  run_inverse(dynamics, q, v, a);
+  kg_links_project(dynamics, tau);
+}
+
+void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q)
+{
+  kg_links_pose(dynamics, q);
+  composite_inertia(dynamics);
+  mass_matrix(dynamics, &dynamics->A);
+  kg_tree_to_dense(&dynamics->tree, &dynamics->A, M);
+}
+
+void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, double *dtau_dv,
+                                     double *M, double *tau, const double *q, const double *v,
+                                     const double *a)
+{
+  kg_dynamics *d = dynamics;
+  run_inverse(d, q, v, a);
+  if (tau) {
+    kg_links_project(d, tau);
+  }
+  kg_tree_clear_external(d);
+  kg_tree_prepare(d);
+  const kg_mat63 zero = {{{0.0}}, {{0.0}}};
+  if (dtau_dq) { /* (13) */
+    for (int b = 0; b <= d->n; b++) {
+      d->pencil[b] = (kg_pencil){d->S[b], d->psi[b], d->psi_dot[b]};
+    }
+    kg_tree_jacobian(d, &d->A);
+    kg_tree_to_dense(&d->tree, &d->A, dtau_dq);
+  }
+  if (dtau_dv) {
+    for (int b = 0; b <= d->n; b++) {
+      kg_mat63 W = d->psi[b];
+      add_scaled(&W.w, 1.0, &d->S_dot[b].w);
+      add_scaled(&W.v, 1.0, &d->S_dot[b].v);
+      d->pencil[b] = (kg_pencil){zero, d->S[b], W};
+    }
+    kg_tree_jacobian(d, &d->A);
+    kg_tree_to_dense(&d->tree, &d->A, dtau_dv);
+  }
+  if (M) {
+    mass_matrix(d, &d->A);
+    kg_tree_to_dense(&d->tree, &d->A, M);
+  }
+}
+
+kg_centroid kg_dynamics_centroid(kg_dynamics *dynamics, const double *q, const double *v)
+{
+  kg_dynamics *d = dynamics;
+  kg_links_pose(d, q);
+  if (v) {
+    kg_links_velocity(d, v);
+  }
+  kg_inertia J = {.mass = 0.0};
+  kg_force momentum = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}; /* about O */
+  for (int i = 0; i < d->n; i++) {
+    const kg_inertia own = world_inertia(&d->links[i]);
+    kg_inertia_add(&J, &own);
+    if (v) {
+      momentum = kg_force_add(momentum, kg_inertia_mul(&own, spatial_velocity(&d->links[i])));
+    }
+  }
+  kg_centroid out = {.mass = J.mass};
+  const double per_mass = J.mass > 0.0 ? 1.0 / J.mass : 0.0;
+  const kg_vec3 c = kg_vec3_scale(per_mass, J.h);
+  out.com = kg_vec3_add(d->origin, c);
+  out.com_dot = kg_vec3_scale(per_mass, momentum.f);
+  out.L = kg_vec3_sub(momentum.n, kg_vec3_cross(c, momentum.f));
+  const double hc = kg_vec3_dot(J.h, c);
+  out.I = kg_mat3_add(symmetric(J.I), kg_mat3_outer(J.h, c));
+  for (int k = 0; k < 9; k += 4) {
+    out.I.m[k] -= hc;
+  }
+  return out;
+}
+
+kg_vec3 kg_dynamics_point(kg_dynamics *dynamics, double *J, const double *q, kg_body_point point)
+{
+  kg_dynamics *d = dynamics;
+  KG_ASSERT(point.segment >= 0 && point.segment < d->n);
+  kg_links_pose(d, q);
+  const kg_link *l = &d->links[point.segment];
+  const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, point.p));
+  if (J) {
+    const int nv = 3 + 3 * d->n;
+    memset(J, 0, 3 * (size_t)nv * sizeof *J);
+    for (int r = 0; r < 3; r++) {
+      J[r * nv + r] = 1.0;
+    }
+    for (int i = point.segment; i >= 0; i = d->links[i].parent) { /* (9) */
+      const kg_mat3 B = cross(kg_vec3_sub(d->links[i].p, x), &d->links[i].R);
+      for (int r = 0; r < 3; r++) {
+        memcpy(J + r * nv + 3 + 3 * i, B.m + 3 * r, 3 * sizeof *J);
+      }
+    }
+  }
+  return kg_vec3_add(d->origin, x);
+}
+
+double kg_dynamics_energy(kg_dynamics *dynamics, const double *q, const double *v)
+{
+  kg_dynamics *d = dynamics;
+  kg_links_pose(d, q);
+  kg_links_velocity(d, v);
+  double twice_kinetic = 0.0, potential = 0.0;
+  for (int i = 0; i < d->n; i++) {
+    const kg_link *l = &d->links[i];
+    const kg_vec3 c_dot = kg_vec3_add(l->p_dot, kg_vec3_cross(l->w, kg_vec3_sub(l->c, l->p)));
+    const kg_vec3 w = kg_mat3_mul_vec_t(l->R, l->w);
+    twice_kinetic +=
+      l->mass * kg_vec3_dot(c_dot, c_dot) + kg_vec3_dot(w, symmetric_mul(l->inertia, w));
+    potential -= l->mass * kg_vec3_dot(d->gravity, kg_vec3_add(d->origin, l->c));
+  }
+  return 0.5 * twice_kinetic + potential;
+}

@@ -1,0 +1,118 @@
+/* Inside physics/: matrices with the sparsity of the kinematic tree, and the kernels of dynamics.c
+ * that step.c needs as well.
+ *
+ * Unknowns come in blocks of three: block 0 is the root's linear velocity, block 1 + i the angular
+ * velocity of segment i. Block 0 is the parent of block 1. A matrix of tree sparsity has a 3x3
+ * block (a, b) only where one of a and b is an ancestor of the other, or both are the same. */
+#ifndef PHYSICS_TREE_H
+#define PHYSICS_TREE_H
+
+#include "kinegrad/arena.h"
+#include "kinegrad/dynamics.h"
+#include "kinegrad/spatial.h"
+
+typedef struct kg_tree {
+  int blocks;  /* n + 1                                                                        */
+  int entries; /* blocks on and below the diagonal                                             */
+  int *depth;  /* proper ancestors of a block                                                  */
+  int *start;  /* row b of the lower triangle is entries start[b] .. start[b] + depth[b]       */
+  int *path;   /* path[start[b] + k]: k-th block on the way from the root to b, b itself last  */
+} kg_tree;
+
+/* A[b, path[e]] = low[e] and A[path[e], b] = up[e] for every entry e of row b; the diagonal block
+ * is low[start[b] + depth[b]]. */
+typedef struct kg_tree_matrix {
+  kg_mat3 *low, *up;
+} kg_tree_matrix;
+
+/* Both take their memory from the arena; check kg_arena_failed afterwards. */
+void kg_tree_init(kg_tree *tree, const kg_body *body, kg_arena *arena);
+void kg_tree_matrix_init(kg_tree_matrix *A, const kg_tree *tree, kg_arena *arena);
+
+/* A = L U from the leaves to the root, in place, no fill-in; false when a pivot block is singular. */
+bool kg_tree_factor(const kg_tree *tree, kg_tree_matrix *A);
+/* x := A^-1 x with the factors; x[3 * blocks]. */
+void kg_tree_solve(const kg_tree *tree, const kg_tree_matrix *A, double *x);
+/* x := A^-T x with the factors. */
+void kg_tree_solve_transposed(const kg_tree *tree, const kg_tree_matrix *A, double *x);
+/* out[nv*nv] row-major, zeros outside the pattern. */
+void kg_tree_to_dense(const kg_tree *tree, const kg_tree_matrix *A, double *out);
+
+/* Six rows, three columns: the motion subspace of a ball joint and what is derived from it. */
+typedef struct kg_mat63 {
+  kg_mat3 w, v; /* angular rows, linear rows */
+} kg_mat63;
+
+/* General 6x6 in 3x3 blocks: [ww wv; vw vv]. */
+typedef struct kg_mat66 {
+  kg_mat3 ww, wv, vw, vv;
+} kg_mat66;
+
+/* What a segment is made of, copied from the body, and where it is and how it moves. World axes;
+ * points and the frame of all spatial quantities relative to O, the root position. */
+typedef struct kg_link {
+  int parent;
+  double mass;
+  kg_vec3 offset, com; /* as in kg_segment                          */
+  double inertia[6];   /* about the centre of mass, segment axes     */
+  kg_mat3 R;
+  kg_vec3 p, c;      /* joint, centre of mass                      */
+  kg_vec3 w, p_dot;  /* angular velocity, velocity of the joint    */
+  kg_vec3 alpha;     /* angular acceleration                       */
+  kg_vec3 p_ddot;    /* acceleration of the joint minus gravity    */
+  kg_force inertial; /* rate of change of momentum minus weight    */
+  kg_force external; /* forces from outside, contact; else zero    */
+} kg_link;
+
+/* Sums over the subtree of a block, for the derivatives. */
+typedef struct kg_composite {
+  kg_inertia I;
+  double Bs[6];      /* symmetric part of 2 B, docs/theory/dynamics.md (12) */
+  kg_force momentum; /* sum of I v */
+  kg_force inertial;
+  kg_force external;
+  bool loaded;   /* external forces act in the subtree: K and D are not zero */
+  kg_mat66 K, D; /* d external = K xi + D nu, docs/theory/contact.md (9)      */
+} kg_composite;
+
+/* One column block of a directional derivative: the pose moves by the twists T, its rate changes by
+ * U, the acceleration by W (docs/theory/dynamics.md (14)). */
+typedef struct kg_pencil {
+  kg_mat63 T, U, W;
+} kg_pencil;
+
+struct kg_dynamics {
+  const kg_body *body;
+  kg_vec3 gravity;
+  int n;
+  kg_vec3 origin;    /* O in the world */
+  kg_link *links;    /* n      */
+  kg_mat63 *S;       /* blocks */
+  kg_mat63 *psi;     /* S moved with the parent: psi_dot of [SRW]   */
+  kg_mat63 *psi_dot; /* psi_ddot of [SRW]                           */
+  kg_mat63 *S_dot;   /* S moved with the segment itself             */
+  kg_composite *sum; /* blocks */
+  kg_pencil *pencil; /* blocks */
+  kg_tree tree;
+  kg_tree_matrix A; /* scratch of the public derivatives */
+  kg_arena arena;
+};
+
+/* Stages of inverse dynamics; each uses what the ones before it left in links. */
+void kg_links_pose(kg_dynamics *d, const double *q);
+void kg_links_velocity(kg_dynamics *d, const double *v);
+void kg_links_acceleration(kg_dynamics *d, const double *v, const double *a);
+void kg_links_inertial(kg_dynamics *d);
+/* tau = S' (inertial - external), summed from the leaves to the root. */
+void kg_links_project(const kg_dynamics *d, double *tau);
+
+/* S, psi, psi_dot, S_dot and the sums over subtrees, after kg_links_inertial. K, D, external and
+ * loaded of the sums must hold the segments' own values (kg_tree_clear_external for none). */
+void kg_tree_clear_external(kg_dynamics *d);
+void kg_tree_prepare(kg_dynamics *d);
+/* A = S' (d inertial - d external) for the pencil of every block. */
+void kg_tree_jacobian(const kg_dynamics *d, kg_tree_matrix *A);
+/* diag(M) at the pose of the links. */
+void kg_links_mass_diagonal(kg_dynamics *d, double *diagonal);
+
+#endif
