@@ -495,7 +495,8 @@ static void add_head(const kg_build *b, moments *sums)
   add_slice(&sums[lower], &bar, bottom - 0.5 * slice, INFINITY);
 }
 
-/* The foot lies on the sole plane, heel to toe tip, and is cut at the toe joint. */
+/* The foot from heel to toe tip, half as high above the sole as ankle and toe joint are, cut at the
+ * toe joint. */
 static void add_foot(const kg_build *b, moments *sums, const kg_build_foot *foot)
 {
   if (foot->ankle < 0) {
@@ -503,10 +504,14 @@ static void add_foot(const kg_build *b, moments *sums, const kg_build_foot *foot
   }
   const kg_quat R = b->R[foot->ankle];
   const kg_vec3 forward = kg_quat_rotate(R, foot->forward), up = kg_quat_rotate(R, foot->up);
-  kg_vec3 heel = kg_vec3_add_scaled(b->p[foot->ankle], -foot->heel, forward);
-  heel = kg_vec3_add_scaled(heel, -0.5 * foot->ankle_height, up); /* half way down to the sole */
   const double length = foot->heel + foot->ball + foot->toe_length;
-  const laid_bar bar = lay(b, KG_PART_FOOT, heel, forward, length, length, up, up);
+  const double sole = -foot->ankle_height;
+  kg_vec3 heel = kg_vec3_add_scaled(b->p[foot->ankle], -foot->heel, forward);
+  heel = kg_vec3_add_scaled(heel, 0.5 * sole, up); /* half way down to the sole */
+  kg_vec3 tip = kg_vec3_add_scaled(b->p[foot->ankle], length - foot->heel, forward);
+  tip = kg_vec3_add_scaled(tip, sole + 0.5 * foot->toe_height, up);
+  const kg_vec3 axis = kg_vec3_normalized(kg_vec3_sub(tip, heel));
+  const laid_bar bar = lay(b, KG_PART_FOOT, heel, axis, length, length, up, up);
   const double cut = foot->toe >= 0 ? foot->heel + foot->ball : INFINITY;
   add_slice(&sums[foot->ankle], &bar, -INFINITY, cut);
   if (foot->toe >= 0) {
