@@ -1,7 +1,7 @@
 /* kinegrad/step.h - one backward Euler step of a body with contact (Eq. 7, 8; DESIGN section 6).
  *
  * Solves for the end-of-step velocity v':
- *   G(v') = ID(q', v', (v' - v)/dt) + k (q' - rest) + c v'_joint - tau - J_c(q')' f_c(q', v') = 0,
+ *   G(v') = ID(q', v', (v' - v)/dt) + c v'_joint - tau - J_c(q')' f_c(q', v') = 0,
  *   q' = q (+) dt v'
  * by Newton's method with line search on |diag(M(q))^-1/2 G dt| (kg^1/2 m/s), exact Jacobian,
  * sparse LU along the tree (leaf to root, no fill-in). A step that does not converge is repeated

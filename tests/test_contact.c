@@ -1,0 +1,234 @@
+/* The contact law against its definition, its derivatives against differences, and the kinks. */
+#include "support.h"
+
+#include "kinegrad/contact.h"
+
+typedef struct probe {
+  kg_contact_params params;
+  kg_scene scene;
+} probe;
+
+static kg_contact_force evaluate(const probe *c, kg_vec3 x, kg_vec3 u)
+{
+  kg_contact_force f;
+  (void)kg_contact_evaluate(&c->params, &c->scene, x, u, true, &f);
+  return f;
+}
+
+static probe on_plane(void)
+{
+  return (probe){kg_contact_default_params(), kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0))};
+}
+
+static probe on_ball(void)
+{
+  probe c = {kg_contact_default_params(), {.shape_count = 0}};
+  const kg_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.2, 0.3}, .radius = 0.25};
+  assert_true(kg_scene_add(&c.scene, &ball));
+  return c;
+}
+
+/* point at distance phi of the ball's surface in a given direction */
+static kg_vec3 near_ball(const probe *c, kg_vec3 direction, double phi)
+{
+  const kg_shape *ball = &c->scene.shapes[0];
+  return kg_vec3_add_scaled(ball->a, ball->radius + phi, kg_vec3_normalized(direction));
+}
+
+static void law_has_the_stated_values(void **state)
+{
+  (void)state;
+  const probe c = on_plane();
+  const kg_vec3 still = {0.0, 0.0, 0.0};
+  const double L = c.params.layer;
+  const double shares[] = {0.9, 0.5, 0.382, 0.1, 0.03};
+  for (size_t k = 0; k < KG_COUNT_OF(shares); k++) {
+    const double phi = shares[k] * L;
+    const kg_contact_force f = evaluate(&c, kg_vec3_make(2.0, phi, -1.0), still);
+    assert_close(f.f.y, c.params.force * (L - phi) * (L - phi) / (L * phi), 1e-13);
+    assert_true(f.f.x == 0.0 && f.f.z == 0.0 && f.normal == f.f.y);
+    assert_close(f.distance, phi, 1e-15);
+  }
+  const double golden = 0.5 * (3.0 - sqrt(5.0)); /* 0.382: where the force is `force` */
+  assert_close(evaluate(&c, kg_vec3_make(0.0, golden * L, 0.0), still).normal, c.params.force,
+               1e-13);
+  /* below the floor: the tangent */
+  const double floor = c.params.floor_share * L;
+  const double a = evaluate(&c, kg_vec3_make(0.0, floor, 0.0), still).normal;
+  const double b = evaluate(&c, kg_vec3_make(0.0, 0.0, 0.0), still).normal;
+  const double deep = evaluate(&c, kg_vec3_make(0.0, -floor, 0.0), still).normal;
+  assert_close(deep - b, b - a, 1e-12);
+  assert_true(b > a);
+  /* outside: nothing at all */
+  kg_contact_force f;
+  assert_false(kg_contact_evaluate(&c.params, &c.scene, kg_vec3_make(0.0, L, 0.0),
+                                   kg_vec3_make(1.0, -5.0, 0.0), true, &f));
+  assert_true(f.normal == 0.0 && kg_vec3_norm(f.f) == 0.0 && f.df_du.m[0] == 0.0);
+  assert_close(f.distance, L, 1e-15);
+}
+
+static void force_is_never_adhesive_and_stays_in_the_cone(void **state)
+{
+  (void)state;
+  const probe c = on_ball();
+  kg_random random = kg_random_make(21);
+  for (int k = 0; k < 5000; k++) {
+    const double phi = c.params.layer * (1.5 * kg_random_uniform(&random) - 0.5);
+    const kg_vec3 x = near_ball(&c, random_vec3(&random, 1.0), phi);
+    const double speed = pow(10.0, 6.0 * kg_random_uniform(&random) - 5.0);
+    const kg_vec3 u = random_vec3(&random, speed);
+    const kg_contact_force f = evaluate(&c, x, u);
+    const double along = kg_vec3_dot(f.f, f.direction);
+    const kg_vec3 tangent = kg_vec3_add_scaled(f.f, -along, f.direction);
+    const kg_vec3 u_t = kg_vec3_add_scaled(u, -kg_vec3_dot(u, f.direction), f.direction);
+    assert_true(f.normal >= 0.0);
+    assert_close(along, f.normal, 1e-12);
+    assert_at_most(kg_vec3_norm(tangent), c.params.friction * f.normal * (1.0 + 1e-12));
+    assert_true(kg_vec3_dot(tangent, u_t) <= 0.0); /* takes energy away */
+    if (kg_vec3_norm(u_t) > c.params.stick) {
+      assert_close(kg_vec3_norm(tangent), c.params.friction * f.normal, 1e-10);
+    }
+  }
+}
+
+/* Largest relative error of df_dx and df_du against Richardson differences at one point. */
+static double derivative_error(const probe *c, kg_vec3 x, kg_vec3 u, double hx, double hu)
+{
+  const kg_contact_force f = evaluate(c, x, u);
+  double worst = 0.0;
+  for (int part = 0; part < 2; part++) {
+    const kg_mat3 *exact = part == 0 ? &f.df_dx : &f.df_du;
+    const double h = part == 0 ? hx : hu;
+    double size = 1e-9;
+    for (int k = 0; k < 9; k++) {
+      size = fmax(size, fabs(exact->m[k]));
+    }
+    for (int j = 0; j < 3; j++) {
+      kg_vec3 slope = {0.0, 0.0, 0.0};
+      for (int level = 0; level < 2; level++) {
+        const double s = level == 0 ? h : 0.5 * h;
+        const kg_vec3 e = {j == 0 ? s : 0.0, j == 1 ? s : 0.0, j == 2 ? s : 0.0};
+        const kg_vec3 zero = {0.0, 0.0, 0.0};
+        const kg_vec3 dx = part == 0 ? e : zero, du = part == 0 ? zero : e;
+        const kg_vec3 plus = evaluate(c, kg_vec3_add(x, dx), kg_vec3_add(u, du)).f;
+        const kg_vec3 minus = evaluate(c, kg_vec3_sub(x, dx), kg_vec3_sub(u, du)).f;
+        slope = kg_vec3_add_scaled(slope, (level == 0 ? -1.0 : 4.0) / (6.0 * s),
+                                   kg_vec3_sub(plus, minus));
+      }
+      const double d[3] = {slope.x, slope.y, slope.z};
+      for (int i = 0; i < 3; i++) {
+        worst = fmax(worst, fabs(d[i] - exact->m[3 * i + j]) / size);
+      }
+    }
+  }
+  return worst;
+}
+
+static void derivatives_match_differences(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(22);
+  const probe cases[] = {on_plane(), on_ball()};
+  double worst = 0.0;
+  for (int k = 0; k < 4000; k++) {
+    const probe *c = &cases[k % 2];
+    const double L = c->params.layer;
+    const double phi = L * (1.2 * kg_random_uniform(&random) - 0.2);
+    const kg_vec3 x =
+      k % 2 == 0 ? kg_vec3_make(0.3, phi, 0.2) : near_ball(c, random_vec3(&random, 1.0), phi);
+    const double speed = k % 3 == 0 ? 1e-4 : (k % 3 == 1 ? 1.0 : 0.02);
+    const kg_vec3 u = random_vec3(&random, speed);
+    const kg_contact_force f = evaluate(c, x, u);
+    const double speed_n = kg_vec3_dot(u, f.direction);
+    const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, f.direction);
+    const double slip = kg_vec3_norm(u_t);
+    const double hx = 0.01 * fmax(fabs(phi), 0.3 * c->params.floor_share * L);
+    const double hu = 0.01 * fmin(slip, c->params.stick);
+    /* differences must not straddle a kink: those have their own test */
+    const double turn = 1.0 - c->params.damping * speed_n;
+    const bool kink =
+      fabs(phi - L) < 3.0 * hx || fabs(phi - c->params.floor_share * L) < 3.0 * hx ||
+      fabs(slip - c->params.stick) < 0.05 * c->params.stick || fabs(fabs(turn) - 0.1) < 0.01;
+    if (!kink && phi < L) {
+      const double error = derivative_error(c, x, u, hx, hu);
+      worst = fmax(worst, error);
+      assert_at_most(error, 1e-6);
+    }
+  }
+  print_message("contact derivatives against differences: %.1e\n", worst);
+}
+
+/* At a kink the derivative is continuous: the values on both sides agree to first order in the
+ * distance to it, and the derivative stated there equals one-sided differences. */
+static void assert_smooth_across(const probe *c, kg_vec3 x, kg_vec3 u, kg_vec3 dx, kg_vec3 du)
+{
+  const kg_contact_force at = evaluate(c, x, u);
+  const double h = 1e-6;
+  const kg_contact_force plus =
+    evaluate(c, kg_vec3_add_scaled(x, h, dx), kg_vec3_add_scaled(u, h, du));
+  const kg_contact_force minus =
+    evaluate(c, kg_vec3_add_scaled(x, -h, dx), kg_vec3_add_scaled(u, -h, du));
+  const kg_vec3 slope = kg_vec3_add(kg_mat3_mul_vec(at.df_dx, dx), kg_mat3_mul_vec(at.df_du, du));
+  const kg_vec3 right = kg_vec3_scale(1.0 / h, kg_vec3_sub(plus.f, at.f));
+  const kg_vec3 left = kg_vec3_scale(1.0 / h, kg_vec3_sub(at.f, minus.f));
+  double size = 1.0;
+  for (int k = 0; k < 9; k++) {
+    size =
+      fmax(size, fabs(at.df_dx.m[k]) * kg_vec3_norm(dx) + fabs(at.df_du.m[k]) * kg_vec3_norm(du));
+    assert_at_most(fabs(plus.df_du.m[k] - minus.df_du.m[k]),
+                   1e-3 * (fabs(at.df_du.m[k]) + kg_vec3_norm(at.f) / c->params.stick + 1.0));
+    assert_at_most(fabs(plus.df_dx.m[k] - minus.df_dx.m[k]),
+                   1e-3 * (fabs(at.df_dx.m[k]) + c->params.force / c->params.layer));
+  }
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(right, slope)), 1e-3 * size);
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(left, slope)), 1e-3 * size);
+}
+
+static void derivative_is_continuous_at_every_kink(void **state)
+{
+  (void)state;
+  const probe c = on_plane();
+  const double L = c.params.layer, stick = c.params.stick;
+  const kg_vec3 none = {0.0, 0.0, 0.0};
+  const kg_vec3 middle = {0.0, 0.5 * L, 0.0}, slow = {0.4 * stick, -0.1, 0.3 * stick};
+  /* layer edge and floor share, crossed at right angles (in units of the layer) */
+  assert_smooth_across(&c, kg_vec3_make(0.0, L, 0.0), slow, kg_vec3_make(0.0, L, 0.0), none);
+  assert_smooth_across(&c, kg_vec3_make(0.0, c.params.floor_share * L, 0.0), slow,
+                       kg_vec3_make(0.0, c.params.floor_share * L, 0.0), none);
+  /* saturation of friction and zero slip (in units of the stick velocity) */
+  assert_smooth_across(&c, middle, kg_vec3_make(0.6 * stick, 0.0, 0.8 * stick), none,
+                       kg_vec3_make(0.6 * stick, 0.0, 0.8 * stick));
+  assert_smooth_across(&c, middle, none, none, kg_vec3_make(stick, 0.0, 0.0));
+  assert_smooth_across(&c, middle, none, none, kg_vec3_make(0.5 * stick, 0.0, -stick));
+  /* both ends of the ramp */
+  for (int side = -1; side <= 1; side += 2) {
+    const double lift = (1.0 + 0.1 * side) / c.params.damping;
+    assert_smooth_across(&c, middle, kg_vec3_make(slow.x, lift, slow.z), none,
+                         kg_vec3_make(0.0, 0.1, 0.0));
+  }
+}
+
+static void zero_slip_divides_by_nothing(void **state)
+{
+  (void)state;
+  const probe c = on_plane();
+  const kg_contact_force f =
+    evaluate(&c, kg_vec3_make(0.0, 0.5 * c.params.layer, 0.0), kg_vec3_make(0.0, 0.0, 0.0));
+  assert_close(f.df_du.m[0], -c.params.friction * f.normal * 2.0 / c.params.stick, 1e-13);
+  assert_close(f.df_du.m[8], f.df_du.m[0], 1e-13);
+  for (int k = 0; k < 9; k++) {
+    assert_true(isfinite(f.df_dx.m[k]) && isfinite(f.df_du.m[k]));
+  }
+}
+
+int main(void)
+{
+  const struct CMUnitTest tests[] = {
+    cmocka_unit_test(law_has_the_stated_values),
+    cmocka_unit_test(force_is_never_adhesive_and_stays_in_the_cone),
+    cmocka_unit_test(derivatives_match_differences),
+    cmocka_unit_test(derivative_is_continuous_at_every_kink),
+    cmocka_unit_test(zero_slip_divides_by_nothing),
+  };
+  return cmocka_run_group_tests_name("contact", tests, NULL, NULL);
+}
