@@ -6,6 +6,7 @@
  * s p_file. */
 #include "mocap/mocap.h"
 
+#include <limits.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -74,6 +75,15 @@ void kg_clip_destroy(kg_clip *clip)
     kg_arena arena = kg_clip_private(clip)->arena; /* the arena holds itself */
     kg_arena_release(&arena);
   }
+}
+
+bool kg_clip_size_is_fair(size_t frames, int joints, int channels, size_t file_bytes)
+{
+  const double most_bytes_per_byte = 64.0, always_allowed = 256e6;
+  const double bytes =
+    (double)frames * ((double)joints * (double)(sizeof(kg_quat) + sizeof(kg_vec3)) +
+                      (double)channels * (double)sizeof(double));
+  return frames <= INT_MAX && bytes <= always_allowed + most_bytes_per_byte * (double)file_bytes;
 }
 
 static void copy_tail(char *to, size_t size, const char *path)

@@ -92,6 +92,9 @@ kg_vec3 kg_joint_translation(const kg_joint *joint, kg_vec3 offset, const double
 kg_clip_memory *kg_clip_private(const kg_clip *clip);
 /* Fills rotations and translations from values, and moves joints to metres and Y up. */
 void kg_clip_finish(kg_clip *clip);
+/* Poses and values take memory for every joint and frame, text only for what it states: false when
+ * a file of so many bytes asks for absurdly much, or for more frames than an int counts. */
+bool kg_clip_size_is_fair(size_t frames, int joints, int channels, size_t file_bytes);
 /* source.format, .path and .skeleton_path; long paths keep their end */
 void kg_clip_label(kg_clip *clip, const char *format, const char *path, const char *skeleton_path);
 /* 1 / rate_hz and its text, in arena memory; false when there is no memory */

@@ -14,10 +14,6 @@
 
 enum { MOST_JOINTS = 4096, DEEPEST = 512 };
 
-/* Poses take memory for every joint, also for those without a channel in the file. */
-static const double most_bytes_per_byte = 64.0;
-static const double bytes_always_allowed = 256e6;
-
 typedef struct bvh_reader {
   kg_text text;
   kg_arena scratch;
@@ -352,16 +348,14 @@ static kg_status count_frames(bvh_reader *reader)
 {
   const size_t present = count_words(&reader->text) / (size_t)reader->channel_count;
   const size_t count = present < (size_t)reader->declared ? present : (size_t)reader->declared;
-  const double bytes =
-    (double)count * reader->joint_count * (double)(sizeof(kg_quat) + sizeof(kg_vec3));
-  const double size = (double)(reader->text.end - reader->hierarchy.start);
   kg_text_skip_blank(&reader->text);
   if (count == 0) {
     return kg_fail(reader->error, KG_ERR_FORMAT, reader->text.path, reader->text.line,
                    (long)(reader->text.at - reader->text.line_start) + 1,
                    "no complete frame, expected %d numbers for each", reader->channel_count);
   }
-  if (count > INT_MAX || bytes > bytes_always_allowed + most_bytes_per_byte * size) {
+  if (!kg_clip_size_is_fair(count, reader->joint_count, reader->channel_count,
+                            (size_t)(reader->text.end - reader->hierarchy.start))) {
     return kg_fail(reader->error, KG_ERR_FORMAT, reader->text.path, reader->text.line, 1,
                    "%zu frames of %d joints with %d channels in all, expected channels for most "
                    "joints",
