@@ -5,7 +5,7 @@
 #include "kinegrad/sdf.h"
 
 /* Below this distance (m) of a point from a feature the direction is rounding noise. */
-#define FEATURE_TINY 1e-14
+#define FEATURE_TINY 1e-10
 
 /* Some unit vector across the unit vector a. */
 static inline kg_vec3 any_orthogonal(kg_vec3 a)

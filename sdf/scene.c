@@ -30,8 +30,9 @@ static kg_sdf_value shape_distance(const kg_shape *shape, kg_vec3 x)
     case KG_SHAPE_CAPSULE:
       return kg_sdf_capsule(shape->a, shape->b, shape->radius, x);
     case KG_SHAPE_HEIGHT_FIELD:
+      return kg_height_field_distance(shape->field, x);
     case KG_SHAPE_MESH:
-      break;
+      return kg_mesh_distance(shape->mesh, x);
   }
   return (kg_sdf_value){INFINITY, {0.0, 1.0, 0.0}, {0.0}};
 }

@@ -37,7 +37,8 @@ KG_API kg_sdf_value kg_sdf_capsule(kg_vec3 a, kg_vec3 b, double radius, kg_vec3 
 typedef struct kg_height_field kg_height_field;
 
 /* heights: (rows, columns), row index along z, column along x; spacing > 0 in m; rows, columns >= 2.
- * origin: world position of heights[0] at height 0. Copied. */
+ * origin: world position of heights[0] at height 0. Copied.
+ * KG_ERR_FORMAT: a height that is not finite. KG_ERR_UNSUPPORTED: more than 1.3e8 heights. */
 KG_API KG_MUST_USE kg_status kg_height_field_create(kg_height_field **field, const double *heights,
                                                     int rows, int columns, double spacing,
                                                     kg_vec3 origin, const kg_allocator *allocator);
@@ -48,7 +49,7 @@ KG_API kg_sdf_value kg_height_field_distance(const kg_height_field *field, kg_ve
 
 typedef struct kg_mesh kg_mesh;
 
-/* What was found while building; text holds one line per finding, "" when the mesh is clean. */
+/* What was found while building (vertices at the same place count as one); text holds one line per finding, "" when the mesh is clean. */
 typedef struct kg_mesh_report {
   int vertices, triangles;
   int boundary_edges;     /* > 0: open; distance is then signed by the nearest side only */
@@ -56,7 +57,7 @@ typedef struct kg_mesh_report {
   int inconsistent_edges; /* two faces with opposite orientation                        */
   int degenerate;         /* faces of zero area, removed                                */
   int duplicates;         /* repeated faces, removed                                    */
-  bool closed;
+  bool closed;            /* every edge is walked as often one way as the other         */
   bool inside_out;        /* closed, negative volume; was turned around                 */
   double volume;          /* m^3, when closed                                           */
   char text[1024];

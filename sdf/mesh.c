@@ -1,0 +1,329 @@
+/* Triangle meshes: building, and exact signed distance through a hierarchy of boxes.
+ *
+ *   a, u, v   corner of a triangle and its edges u = b - a, v = c - a
+ *   n         unit face normal, u x v / |u x v|
+ *   c(x)      closest point of the surface; the feature it lies on: a corner, an edge or the face
+ *   N         pseudo-normal of the feature: a face's n, the sum of n over an edge's faces, the sum
+ *             of (corner angle) n over a vertex' faces
+ *   Phi       = sign(N . (x - c)) |x - c|                                            [BAER]
+ *
+ * Closest point: Voronoi regions of the triangle from the six products of x - corner with u and v
+ * [ERIC] C. Ericson, Real-Time Collision Detection, Morgan Kaufmann 2005, section 5.1.5. */
+#include "kinegrad/sdf.h"
+
+#include "sdf/bvh.h"
+#include "sdf/feature.h"
+#include "sdf/topology.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* What the closest-point test reads; two cache lines. */
+typedef struct triangle {
+  kg_vec3 a, u, v, n;
+  double uu, uv, vv; /* u.u, u.v, v.v */
+  double unused;
+} triangle;
+
+typedef enum feature {
+  CORNER_A,
+  CORNER_B,
+  CORNER_C, /* in the order of topology.corner */
+  EDGE_AB,
+  EDGE_BC,
+  EDGE_CA, /* in the order of topology.edge   */
+  FACE
+} feature;
+
+struct kg_mesh {
+  kg_arena arena;
+  int triangle_count;
+  triangle *triangles;     /* (triangle_count) in leaf order                    */
+  int (*corner)[3];        /* (triangle_count) vertex of each corner            */
+  int (*edge)[3];          /* (triangle_count) edges ab, bc, ca                 */
+  kg_vec3 *vertex_normals; /* pseudo-normals, unit or zero                      */
+  kg_vec3 *edge_normals;
+  bvh tree;
+};
+
+/* ---- queries ---------------------------------------------------------------------------------- */
+
+typedef struct closest {
+  double distance2;
+  int triangle; /* -1: none yet */
+  feature on;
+  kg_vec3 d; /* x - c(x)     */
+} closest;
+
+/* x - c and the feature c lies on */
+static feature closest_on_triangle(const triangle *t, kg_vec3 x, kg_vec3 *d)
+{
+  const kg_vec3 p = kg_vec3_sub(x, t->a);
+  const double d1 = kg_vec3_dot(t->u, p), d2 = kg_vec3_dot(t->v, p); /* seen from a */
+  if (d1 <= 0.0 && d2 <= 0.0) {
+    *d = p;
+    return CORNER_A;
+  }
+  const double d3 = d1 - t->uu, d4 = d2 - t->uv; /* from b */
+  if (d3 >= 0.0 && d4 <= d3) {
+    *d = kg_vec3_sub(p, t->u);
+    return CORNER_B;
+  }
+  if (d1 * d4 - d3 * d2 <= 0.0 && d1 >= 0.0 && d3 <= 0.0) {
+    *d = kg_vec3_add_scaled(p, -d1 / t->uu, t->u);
+    return EDGE_AB;
+  }
+  const double d5 = d1 - t->uv, d6 = d2 - t->vv; /* from c */
+  if (d6 >= 0.0 && d5 <= d6) {
+    *d = kg_vec3_sub(p, t->v);
+    return CORNER_C;
+  }
+  if (d5 * d2 - d1 * d6 <= 0.0 && d2 >= 0.0 && d6 <= 0.0) {
+    *d = kg_vec3_add_scaled(p, -d2 / t->vv, t->v);
+    return EDGE_CA;
+  }
+  const double to_c = d4 - d3, to_b = d5 - d6; /* along bc, from b and from c */
+  if (d3 * d6 - d5 * d4 <= 0.0 && to_c >= 0.0 && to_b >= 0.0) {
+    const kg_vec3 w = kg_vec3_sub(t->v, t->u);
+    *d = kg_vec3_add_scaled(kg_vec3_sub(p, t->u), -to_c / (to_c + to_b), w);
+    return EDGE_BC;
+  }
+  *d = kg_vec3_scale(kg_vec3_dot(t->n, p), t->n);
+  return FACE;
+}
+
+static void visit_leaf(const kg_mesh *mesh, int first, int count, kg_vec3 x, closest *best)
+{
+  for (int k = first; k < first + count; k++) {
+    kg_vec3 d;
+    const feature on = closest_on_triangle(&mesh->triangles[k], x, &d);
+    const double distance2 = kg_vec3_dot(d, d);
+    if (distance2 < best->distance2) {
+      *best = (closest){distance2, k, on, d};
+    }
+  }
+}
+
+/* x as an interval of floats, and the squared distances to four boxes, never too large */
+typedef struct float_point {
+  float lo[3], hi[3];
+} float_point;
+
+static float_point as_floats(kg_vec3 x)
+{
+  const double v[3] = {x.x, x.y, x.z};
+  float_point out;
+  for (int i = 0; i < 3; i++) {
+    const float f = (float)v[i], slack = 1.2e-7f * fabsf(f) + 1e-37f; /* over one rounding */
+    out.lo[i] = f - slack;
+    out.hi[i] = f + slack;
+  }
+  return out;
+}
+
+static inline void box_distances(const bvh_node *node, const float_point *x, float out[BVH_WIDTH])
+{
+  for (int k = 0; k < BVH_WIDTH; k++) {
+    float sum = 0.0f;
+    for (int i = 0; i < 3; i++) {
+      const float under = node->lo[i][k] - x->hi[i], over = x->lo[i] - node->hi[i][k];
+      const float gap = under > over ? under : over;
+      const float outside = gap > 0.0f ? gap : 0.0f;
+      sum += outside * outside;
+    }
+    out[k] = 0.9999990f * sum; /* the roundings above add up to less than 5e-7 */
+  }
+}
+
+typedef struct waiting {
+  float distance2;
+  int child, count;
+} waiting;
+
+/* Depth first, nearest box first. */
+static closest find_closest(const kg_mesh *mesh, kg_vec3 x)
+{
+  closest best = {INFINITY, -1, FACE, {0.0, 0.0, 0.0}};
+  const float_point point = as_floats(x);
+  waiting stack[BVH_STACK];
+  int top = 0;
+  stack[top++] = (waiting){0.0f, 0, 0};
+  while (top > 0) {
+    const waiting item = stack[--top];
+    if (!((double)item.distance2 < best.distance2)) continue;
+    if (item.count > 0) {
+      visit_leaf(mesh, item.child, item.count, x, &best);
+      continue;
+    }
+    const bvh_node *node = &mesh->tree.nodes[item.child];
+    float distance2[BVH_WIDTH];
+    box_distances(node, &point, distance2);
+    const int base = top;
+    for (int k = 0; k < BVH_WIDTH; k++) {
+      if (node->count[k] < 0 || !((double)distance2[k] < best.distance2)) continue;
+      int at = top++; /* keep the nearest on top */
+      for (; at > base && stack[at - 1].distance2 < distance2[k]; at--) {
+        stack[at] = stack[at - 1];
+      }
+      stack[at] = (waiting){distance2[k], node->child[k], node->count[k]};
+    }
+  }
+  return best;
+}
+
+static kg_vec3 edge_direction(const triangle *t, feature on)
+{
+  const kg_vec3 e = on == EDGE_AB ? t->u : on == EDGE_CA ? t->v : kg_vec3_sub(t->v, t->u);
+  return kg_vec3_normalized(e);
+}
+
+kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x)
+{
+  const closest best = find_closest(mesh, x);
+  if (best.triangle < 0) { /* x is not finite, or its square overflows */
+    const double far = kg_vec3_norm(x);
+    return (kg_sdf_value){far, {0.0, 1.0, 0.0}, {0.0}};
+  }
+  const triangle *t = &mesh->triangles[best.triangle];
+  if (best.on == FACE) {
+    const double height = kg_vec3_dot(t->n, kg_vec3_sub(x, t->a));
+    return (kg_sdf_value){height, t->n, {0.0}};
+  }
+  const bool edge = best.on >= EDGE_AB;
+  const kg_vec3 N = edge ? mesh->edge_normals[mesh->edge[best.triangle][best.on - EDGE_AB]]
+                         : mesh->vertex_normals[mesh->corner[best.triangle][best.on - CORNER_A]];
+  const kg_vec3 along = edge ? edge_direction(t, best.on) : kg_vec3_make(0.0, 0.0, 0.0);
+  kg_sdf_value out = edge_feature(best.d, along, kg_vec3_dot(N, N) > 0.0 ? N : t->n);
+  if (kg_vec3_dot(N, best.d) < 0.0) {
+    out.distance = -out.distance;
+    if (-out.distance >= FEATURE_TINY) { /* the fallback normal already points outwards */
+      out.normal = kg_vec3_scale(-1.0, out.normal);
+    }
+    for (int i = 0; i < 6; i++) {
+      out.hessian[i] = -out.hessian[i];
+    }
+  }
+  return out;
+}
+
+/* ---- building --------------------------------------------------------------------------------- */
+
+static void fill_triangle(triangle *t, const topology *topo, int face)
+{
+  const int *k = topo->corner[face];
+  const kg_vec3 a = topo->vertices[k[0]];
+  const kg_vec3 u = kg_vec3_sub(topo->vertices[k[1]], a);
+  const kg_vec3 v = kg_vec3_sub(topo->vertices[k[2]], a);
+  *t = (triangle){.a = a, .u = u, .v = v, .n = kg_vec3_normalized(kg_vec3_cross(u, v))};
+  t->uu = kg_vec3_dot(u, u);
+  t->uv = kg_vec3_dot(u, v);
+  t->vv = kg_vec3_dot(v, v);
+}
+
+static double angle_between(kg_vec3 a, kg_vec3 b)
+{
+  return atan2(kg_vec3_norm(kg_vec3_cross(a, b)), kg_vec3_dot(a, b));
+}
+
+/* [BAER] section 3: every face counts once for its edges, with its angle for its corners */
+static void add_pseudo_normals(kg_mesh *mesh, const triangle *t, int k)
+{
+  const kg_vec3 w = kg_vec3_sub(t->v, t->u), back = kg_vec3_scale(-1.0, t->u);
+  const double angle[3] = {angle_between(t->u, t->v), angle_between(back, w), 0.0};
+  for (int i = 0; i < 3; i++) {
+    const double share = i < 2 ? angle[i] : acos(-1.0) - angle[0] - angle[1];
+    kg_vec3 *at = &mesh->vertex_normals[mesh->corner[k][i]];
+    *at = kg_vec3_add_scaled(*at, share, t->n);
+    at = &mesh->edge_normals[mesh->edge[k][i]];
+    *at = kg_vec3_add(*at, t->n);
+  }
+}
+
+static bvh_box triangle_box(const topology *topo, int face)
+{
+  const kg_vec3 a = topo->vertices[topo->corner[face][0]];
+  bvh_box box = {a, a};
+  for (int i = 1; i < 3; i++) {
+    const kg_vec3 b = topo->vertices[topo->corner[face][i]];
+    box.lo = kg_vec3_make(fmin(box.lo.x, b.x), fmin(box.lo.y, b.y), fmin(box.lo.z, b.z));
+    box.hi = kg_vec3_make(fmax(box.hi.x, b.x), fmax(box.hi.y, b.y), fmax(box.hi.z, b.z));
+  }
+  return box;
+}
+
+static bool build_tree(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
+{
+  bvh_box *boxes = KG_ARENA_ARRAY(scratch, bvh_box, topo->face_count);
+  if (!boxes) return false;
+  for (int i = 0; i < topo->face_count; i++) {
+    boxes[i] = triangle_box(topo, i);
+  }
+  return bvh_build(&mesh->tree, boxes, topo->face_count, &mesh->arena, scratch);
+}
+
+static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
+{
+  const int count = topo->face_count;
+  mesh->triangle_count = count;
+  mesh->triangles = KG_ARENA_ARRAY(&mesh->arena, triangle, count);
+  mesh->corner = kg_arena_alloc(&mesh->arena, (size_t)count, sizeof *mesh->corner);
+  mesh->edge = kg_arena_alloc(&mesh->arena, (size_t)count, sizeof *mesh->edge);
+  mesh->vertex_normals = KG_ARENA_ARRAY(&mesh->arena, kg_vec3, topo->vertex_count);
+  mesh->edge_normals = KG_ARENA_ARRAY(&mesh->arena, kg_vec3, topo->edge_count);
+  if (kg_arena_failed(&mesh->arena) || !build_tree(mesh, topo, scratch)) return false;
+  for (int k = 0; k < count; k++) {
+    const int face = mesh->tree.order[k];
+    memcpy(mesh->corner[k], topo->corner[face], sizeof *mesh->corner);
+    memcpy(mesh->edge[k], topo->edge[face], sizeof *mesh->edge);
+    fill_triangle(&mesh->triangles[k], topo, face);
+    add_pseudo_normals(mesh, &mesh->triangles[k], k);
+  }
+  for (int i = 0; i < topo->vertex_count; i++) {
+    mesh->vertex_normals[i] = kg_vec3_normalized(mesh->vertex_normals[i]);
+  }
+  for (int i = 0; i < topo->edge_count; i++) {
+    mesh->edge_normals[i] = kg_vec3_normalized(mesh->edge_normals[i]);
+  }
+  return true;
+}
+
+kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
+                         const int *triangles, int triangle_count, kg_mesh_report *report,
+                         const kg_allocator *allocator, kg_error *error)
+{
+  KG_ASSERT(mesh && vertex_count >= 0 && triangle_count >= 0);
+  *mesh = NULL;
+  kg_arena arena, scratch;
+  kg_arena_init(&arena, allocator);
+  kg_arena_init(&scratch, allocator);
+  kg_mesh_report unused;
+  topology topo;
+  kg_status status = topology_build(&topo, vertices, vertex_count, triangles, triangle_count,
+                                    report ? report : &unused, &scratch, error);
+  if (status == KG_OK) {
+    kg_mesh *built = KG_ARENA_ARRAY(&arena, kg_mesh, 1);
+    if (built) {
+      built->arena = arena;
+    }
+    if (built && fill_mesh(built, &topo, &scratch)) {
+      *mesh = built;
+    } else {
+      status = kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
+                       triangle_count);
+      if (built) {
+        arena = built->arena;
+      }
+      kg_arena_release(&arena);
+    }
+  }
+  kg_arena_release(&scratch);
+  return status;
+}
+
+void kg_mesh_destroy(kg_mesh *mesh)
+{
+  if (mesh) {
+    kg_arena arena = mesh->arena; /* the mesh lives in its own arena */
+    kg_arena_release(&arena);
+  }
+}

@@ -1,0 +1,423 @@
+/* Meshes and height fields against the distance to all triangles and the winding number; diagnosis
+ * of broken meshes. */
+#include "mesh_support.h"
+
+static soup the_soup; /* large: not on the stack */
+
+static soup *fresh_soup(void)
+{
+  the_soup.vertex_count = the_soup.triangle_count = 0;
+  return &the_soup;
+}
+
+static kg_sdf_value mesh_phi(kg_vec3 x, const void *user)
+{
+  return kg_mesh_distance(user, x);
+}
+
+/* distance, sign, unit normal, closest point on the surface: at random points near and far */
+static void check_against_all_triangles(const soup *s, const kg_mesh *mesh, int count, double size)
+{
+  kg_random random = kg_random_make(21);
+  for (int i = 0; i < count; i++) {
+    kg_vec3 x = random_vec3(&random, size);
+    if (i % 4 == 0) { /* close to a vertex, an edge or a face */
+      const int *t = s->triangles[i % s->triangle_count];
+      const double u = i % 3 == 0 ? 0.0 : kg_random_uniform(&random);
+      const double v = i % 12 < 8 ? 0.0 : (1.0 - u) * kg_random_uniform(&random);
+      const kg_vec3 a = s->vertices[t[0]];
+      const kg_vec3 p = kg_vec3_add_scaled(kg_vec3_lerp(a, s->vertices[t[1]], u), v,
+                                           kg_vec3_sub(s->vertices[t[2]], a));
+      x = kg_vec3_add(p, random_vec3(&random, i % 8 == 0 ? 1e-3 : 1e-6));
+    }
+    const double exact = brute_distance(s, x);
+    const kg_sdf_value v = kg_mesh_distance(mesh, x);
+    assert_close(fabs(v.distance), exact, 1e-13);
+    assert_true((winding_number(s, x) > 0.5) == (v.distance < 0.0));
+    assert_close(kg_vec3_norm(v.normal), 1.0, 1e-12);
+    const kg_vec3 c = kg_vec3_add_scaled(x, -v.distance, v.normal);
+    assert_at_most(brute_distance(s, c), 1e-9);
+  }
+}
+
+static void closed_meshes_have_exact_signed_distance(void **state)
+{
+  (void)state;
+  for (int k = 0; k < 4; k++) {
+    soup *s = fresh_soup();
+    if (k == 0) add_icosphere(s, 2);
+    if (k == 1) add_box(s, kg_vec3_make(-0.5, -0.2, -0.3), kg_vec3_make(0.4, 0.7, 0.1));
+    if (k == 2) add_spiky(s, 2, 5);
+    if (k == 3) { /* two bodies and a cavity, which is a body turned inside out */
+      add_box(s, kg_vec3_make(-1.5, -0.2, -0.3), kg_vec3_make(-0.6, 0.7, 0.1));
+      add_box(s, kg_vec3_make(-0.5, -0.5, -0.5), kg_vec3_make(0.5, 0.5, 0.5));
+      const int first = s->triangle_count;
+      add_box(s, kg_vec3_make(-0.3, -0.3, -0.3), kg_vec3_make(0.3, 0.3, 0.3));
+      for (int i = first; i < s->triangle_count; i++) {
+        const int swap = s->triangles[i][1];
+        s->triangles[i][1] = s->triangles[i][2];
+        s->triangles[i][2] = swap;
+      }
+    }
+    kg_mesh_report report;
+    kg_mesh *mesh = build_mesh(s, &report);
+    assert_true(report.closed && !report.inside_out);
+    assert_string_equal(report.text, "");
+    assert_int_equal(report.triangles, s->triangle_count);
+    check_against_all_triangles(s, mesh, 4000, 0.8);
+    check_against_all_triangles(s, mesh, 50, 100.0);
+    kg_mesh_destroy(mesh);
+  }
+}
+
+static void gradient_and_hessian_match_differences(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_spiky(s, 1, 6);
+  kg_mesh *mesh = build_mesh(s, NULL);
+  kg_random random = kg_random_make(22);
+  int checked = 0, curved = 0;
+  for (int i = 0; i < 4000; i++) {
+    const kg_vec3 x = random_vec3(&random, 0.9);
+    const kg_sdf_value v = kg_mesh_distance(mesh, x);
+    if (fabs(v.distance) < 0.02) continue; /* differences need room beside edges and corners */
+    const bool done = check_derivatives(mesh_phi, mesh, x, 1e-4, 1e-5);
+    checked += done;
+    curved += done && fabs(v.hessian[0]) + fabs(v.hessian[1]) + fabs(v.hessian[2]) > 0.0;
+  }
+  assert_true(checked > 2000);
+  assert_true(curved > 500);
+  kg_mesh_destroy(mesh);
+}
+
+static void distances_have_lipschitz_constant_one(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_spiky(s, 2, 7);
+  kg_mesh *mesh = build_mesh(s, NULL);
+  kg_random random = kg_random_make(23);
+  for (int i = 0; i < 20000; i++) {
+    const kg_vec3 a = random_vec3(&random, 0.8);
+    const kg_vec3 b = kg_vec3_add(a, random_vec3(&random, i % 2 ? 0.01 : 1.0));
+    const double change = kg_mesh_distance(mesh, a).distance - kg_mesh_distance(mesh, b).distance;
+    assert_at_most(fabs(change), kg_vec3_norm(kg_vec3_sub(a, b)) + 1e-14);
+  }
+  kg_mesh_destroy(mesh);
+}
+
+static void points_on_the_surface_have_a_usable_normal(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_box(s, kg_vec3_make(0, 0, 0), kg_vec3_make(1, 1, 1));
+  kg_mesh *mesh = build_mesh(s, NULL);
+  /* the pseudo-normals of a cube: along the diagonals, whatever way its faces are cut */
+  const kg_vec3 corner = kg_mesh_distance(mesh, kg_vec3_make(1, 1, 1)).normal;
+  const kg_vec3 edge = kg_mesh_distance(mesh, kg_vec3_make(1, 1, 0.3)).normal;
+  const kg_vec3 face = kg_mesh_distance(mesh, kg_vec3_make(1, 0.4, 0.3)).normal;
+  assert_at_most(
+    kg_vec3_norm(kg_vec3_sub(corner, kg_vec3_scale(sqrt(1.0 / 3.0), kg_vec3_make(1, 1, 1)))),
+    1e-14);
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(edge, kg_vec3_scale(sqrt(0.5), kg_vec3_make(1, 1, 0)))),
+                 1e-14);
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(face, kg_vec3_make(1, 0, 0))), 1e-14);
+  assert_true(kg_mesh_distance(mesh, kg_vec3_make(1, 1, 1)).distance == 0.0);
+  assert_true(isnan(kg_mesh_distance(mesh, kg_vec3_make(NAN, 1, 1)).distance));
+  kg_mesh_destroy(mesh);
+}
+
+/* ---- diagnosis -----------------------------------------------------------------------------------*/
+
+static void open_mesh_is_reported_and_signed_by_side(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_box(s, kg_vec3_make(0, 0, 0), kg_vec3_make(1, 1, 1));
+  s->triangle_count -= 2; /* the face z = 1 is missing */
+  kg_mesh_report report;
+  kg_mesh *mesh = build_mesh(s, &report);
+  assert_false(report.closed);
+  assert_int_equal(report.boundary_edges, 4);
+  assert_non_null(strstr(report.text, "open: 4 edges"));
+  assert_close(kg_mesh_distance(mesh, kg_vec3_make(0.5, 0.5, -1)).distance, 1.0, 1e-14);
+  assert_close(kg_mesh_distance(mesh, kg_vec3_make(0.5, 0.5, 0.25)).distance, -0.25, 1e-14);
+  kg_mesh_destroy(mesh);
+}
+
+static void inside_out_mesh_is_turned_around(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_spiky(s, 1, 8);
+  kg_mesh_report right, wrong;
+  kg_mesh *outwards = build_mesh(s, &right);
+  for (int i = 0; i < s->triangle_count; i++) {
+    const int swap = s->triangles[i][0];
+    s->triangles[i][0] = s->triangles[i][1];
+    s->triangles[i][1] = swap;
+  }
+  kg_mesh *inwards = build_mesh(s, &wrong);
+  assert_true(wrong.inside_out && !right.inside_out && wrong.closed);
+  assert_non_null(strstr(wrong.text, "inside out"));
+  assert_close(wrong.volume, right.volume, 1e-12);
+  kg_random random = kg_random_make(24);
+  for (int i = 0; i < 500; i++) {
+    const kg_vec3 x = random_vec3(&random, 0.8);
+    assert_close(kg_mesh_distance(inwards, x).distance, kg_mesh_distance(outwards, x).distance,
+                 1e-13);
+  }
+  kg_mesh_destroy(outwards);
+  kg_mesh_destroy(inwards);
+}
+
+static void volume_is_right(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_box(s, kg_vec3_make(10, 20, 30), kg_vec3_make(10.5, 22, 33));
+  kg_mesh_report report;
+  kg_mesh_destroy(build_mesh(s, &report));
+  assert_close(report.volume, 3.0, 1e-12);
+}
+
+static void broken_faces_are_counted_and_named(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_box(s, kg_vec3_make(0, 0, 0), kg_vec3_make(1, 1, 1));
+  const int clean = s->triangle_count;
+  kg_mesh_report report;
+
+  const int *t = s->triangles[0];
+  add_triangle(s, t[1], t[2], t[0]); /* repeated, another corner first */
+  add_triangle(s, 3, 3, 5);          /* a corner twice */
+  add_vertex(s, kg_vec3_make(0.5, 0, 0));
+  kg_mesh_destroy(build_mesh(s, &report));
+  assert_int_equal(report.duplicates, 1);
+  assert_int_equal(report.degenerate, 1);
+  assert_int_equal(report.triangles, clean);
+  assert_true(report.closed);
+  assert_non_null(strstr(report.text, "1 repeated"));
+  assert_non_null(strstr(report.text, "1 triangles without area"));
+
+  s->triangle_count = clean;
+  const int swap = s->triangles[3][0]; /* one face turned: its three edges disagree */
+  s->triangles[3][0] = s->triangles[3][1];
+  s->triangles[3][1] = swap;
+  kg_mesh_destroy(build_mesh(s, &report));
+  assert_int_equal(report.inconsistent_edges, 3);
+  assert_false(report.closed);
+  assert_non_null(strstr(report.text, "inconsistent: at 3 edges"));
+
+  s = fresh_soup(); /* a fin on the edge from corner 0 to corner 1 */
+  add_box(s, kg_vec3_make(0, 0, 0), kg_vec3_make(1, 1, 1));
+  add_triangle(s, 0, 1, add_vertex(s, kg_vec3_make(0.5, -1, -1)));
+  kg_mesh_destroy(build_mesh(s, &report));
+  assert_int_equal(report.non_manifold_edges, 1);
+  assert_int_equal(report.boundary_edges, 2);
+  assert_non_null(strstr(report.text, "not manifold: 1 edges"));
+}
+
+/* A seam of doubled vertices is no hole; a T-junction's sliver does not spoil the neighbours. */
+static void vertices_at_one_place_are_one_vertex(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_box(s, kg_vec3_make(-1, -1, -1), kg_vec3_make(1, 1, 1));
+  soup *apart = malloc(sizeof *apart);
+  assert_non_null(apart);
+  apart->vertex_count = apart->triangle_count = 0;
+  for (int i = 0; i < s->triangle_count; i++) {
+    int v[3];
+    for (int k = 0; k < 3; k++) {
+      v[k] = add_vertex(apart, s->vertices[s->triangles[i][k]]);
+    }
+    add_triangle(apart, v[0], v[1], v[2]);
+  }
+  kg_mesh_report report;
+  kg_mesh *mesh = build_mesh(apart, &report);
+  assert_true(report.closed);
+  assert_int_equal(report.vertices, 8);
+  check_against_all_triangles(s, mesh, 400, 1.0);
+  kg_mesh_destroy(mesh);
+  free(apart);
+}
+
+static void bad_input_is_refused(void **state)
+{
+  (void)state;
+  const kg_vec3 good[3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}};
+  const kg_vec3 nan[3] = {{0, 0, 0}, {NAN, 0, 0}, {0, 1, 0}};
+  const int face[3] = {0, 1, 2}, high[3] = {0, 1, 3}, low[3] = {0, -1, 2}, flat[3] = {0, 1, 1};
+  const struct {
+    const kg_vec3 *vertices;
+    const int *triangles;
+    int count;
+    const char *word;
+  } cases[] = {{nan, face, 1, "vertex 2"},
+               {good, high, 1, "uses vertex 4"},
+               {good, low, 1, "uses vertex 0"},
+               {good, flat, 1, "no triangle"},
+               {good, face, 0, "no triangle"}};
+  for (size_t i = 0; i < KG_COUNT_OF(cases); i++) {
+    kg_mesh *mesh = (kg_mesh *)&cases;
+    kg_error error = {0};
+    assert_int_equal(kg_mesh_create(&mesh, cases[i].vertices, 3, cases[i].triangles, cases[i].count,
+                                    NULL, NULL, &error),
+                     KG_ERR_FORMAT);
+    assert_null(mesh);
+    assert_non_null(strstr(error.text, cases[i].word));
+  }
+}
+
+static void refused_memory_leaves_nothing_behind(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_icosphere(s, 2);
+  const double heights[6] = {0, 1, 0, 2, 0, 1};
+  for (int what = 0; what < 2; what++) {
+    int allowed = 0;
+    for (bool done = false; !done; allowed++) {
+      failing_heap heap = {.calls_left = allowed};
+      const kg_allocator allocator = {failing_alloc, failing_free, &heap};
+      kg_mesh *mesh = NULL;
+      kg_height_field *field = NULL;
+      const kg_status status =
+        what == 0
+          ? kg_mesh_create(&mesh, s->vertices, s->vertex_count, &s->triangles[0][0],
+                           s->triangle_count, NULL, &allocator, NULL)
+          : kg_height_field_create(&field, heights, 2, 3, 1.0, kg_vec3_make(0, 0, 0), &allocator);
+      done = status == KG_OK;
+      assert_true(done ? mesh != NULL || field != NULL : mesh == NULL && field == NULL);
+      assert_true(done || status == KG_ERR_NO_MEMORY);
+      kg_mesh_destroy(mesh);
+      kg_height_field_destroy(field);
+      assert_int_equal(heap.live_bytes, 0);
+    }
+    assert_true(allowed > 3);
+  }
+}
+
+/* All centroids alike, long rows, and random slivers: the tree must still hold every triangle. */
+static void awkward_triangles_are_all_found(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  kg_random random = kg_random_make(25);
+  for (int i = 0; i < 300; i++) { /* same centroid: a, b, -a-b */
+    const kg_vec3 a = random_vec3(&random, 1.0), b = random_vec3(&random, i % 2 ? 1.0 : 1e-4);
+    const int first = add_vertex(s, a);
+    add_vertex(s, b);
+    add_vertex(s, kg_vec3_scale(-1.0, kg_vec3_add(a, b)));
+    add_triangle(s, first, first + 1, first + 2);
+  }
+  for (int i = 0; i < 300; i++) { /* sizes over nine decades */
+    const double size = pow(10.0, -6.0 + 9.0 * kg_random_uniform(&random));
+    const int first = add_vertex(s, random_vec3(&random, size));
+    add_vertex(s, random_vec3(&random, size));
+    add_vertex(s, random_vec3(&random, size));
+    add_triangle(s, first, first + 1, first + 2);
+  }
+  kg_mesh *mesh = build_mesh(s, NULL);
+  for (int i = 0; i < 2000; i++) {
+    const kg_vec3 x = random_vec3(&random, pow(10.0, -3.0 + 5.0 * kg_random_uniform(&random)));
+    const double exact = brute_distance(s, x);
+    assert_at_most(fabs(fabs(kg_mesh_distance(mesh, x).distance) - exact), 1e-12 * (1.0 + exact));
+  }
+  kg_mesh_destroy(mesh);
+}
+
+/* ---- height fields -------------------------------------------------------------------------------*/
+
+enum { ROWS = 7, COLUMNS = 9 };
+
+static void height_field_is_the_distance_to_its_cells(void **state)
+{
+  (void)state;
+  double heights[ROWS * COLUMNS];
+  kg_random random = kg_random_make(26);
+  for (int i = 0; i < ROWS * COLUMNS; i++) {
+    heights[i] = 0.3 * kg_random_normal(&random);
+  }
+  const kg_vec3 origin = {-1.0, 0.5, 2.0};
+  const double spacing = 0.25;
+  kg_height_field *field;
+  assert_int_equal(kg_height_field_create(&field, heights, ROWS, COLUMNS, spacing, origin, NULL),
+                   KG_OK);
+  soup *s = fresh_soup(); /* the cells, and six cells more on each side at the border's heights */
+  const int more = 6;
+  for (int r = -more; r < ROWS - 1 + more; r++) {
+    for (int c = -more; c < COLUMNS - 1 + more; c++) {
+      int v[4];
+      for (int k = 0; k < 4; k++) {
+        const int row = r + k / 2, column = c + k % 2;
+        const int at_row = row < 0 ? 0 : row >= ROWS ? ROWS - 1 : row;
+        const int at_column = column < 0 ? 0 : column >= COLUMNS ? COLUMNS - 1 : column;
+        v[k] = add_vertex(s, kg_vec3_make(origin.x + spacing * column,
+                                          origin.y + heights[at_row * COLUMNS + at_column],
+                                          origin.z + spacing * row));
+      }
+      add_triangle(s, v[0], v[2], v[3]);
+      add_triangle(s, v[0], v[3], v[1]);
+    }
+  }
+  for (int i = 0; i < 3000; i++) {
+    const kg_vec3 x = kg_vec3_make(-1.0 - 0.8 + 3.6 * kg_random_uniform(&random),
+                                   0.5 + 0.4 * kg_random_normal(&random),
+                                   2.0 - 0.8 + 3.1 * kg_random_uniform(&random));
+    const kg_sdf_value v = kg_height_field_distance(field, x);
+    const double exact = brute_distance(s, x);
+    assert_at_most(exact, 1.5); /* else the cells above would not reach far enough */
+    assert_close(fabs(v.distance), exact, 1e-12);
+    assert_true(v.normal.y > -1e-12 || v.distance != 0.0);
+    /* above or below: cast a ray straight down through all cells */
+    bool below = false;
+    for (int k = 0; k < s->triangle_count; k++) {
+      const kg_vec3 a = s->vertices[s->triangles[k][0]], b = s->vertices[s->triangles[k][1]];
+      const kg_vec3 c = s->vertices[s->triangles[k][2]];
+      const double det = (b.x - a.x) * (c.z - a.z) - (c.x - a.x) * (b.z - a.z);
+      const double p = ((x.x - a.x) * (c.z - a.z) - (c.x - a.x) * (x.z - a.z)) / det;
+      const double q = ((b.x - a.x) * (x.z - a.z) - (x.x - a.x) * (b.z - a.z)) / det;
+      if (p >= 0.0 && q >= 0.0 && p + q <= 1.0) {
+        below = x.y < a.y + p * (b.y - a.y) + q * (c.y - a.y);
+      }
+    }
+    assert_true(below == (v.distance < 0.0));
+  }
+  /* far outside, the nearest border height counts */
+  const double corner = heights[ROWS * COLUMNS - 1] + origin.y;
+  const kg_vec3 far[] = {{50.0, corner + 0.7, 60.0}, {1e5, corner + 0.7, 1e6}};
+  for (size_t i = 0; i < KG_COUNT_OF(far); i++) {
+    const kg_sdf_value v = kg_height_field_distance(field, far[i]);
+    assert_close(v.distance, 0.7, 1e-12);
+    assert_close(v.normal.y, 1.0, 1e-12);
+  }
+  kg_height_field_destroy(field);
+  heights[5] = NAN;
+  assert_int_equal(kg_height_field_create(&field, heights, ROWS, COLUMNS, spacing, origin, NULL),
+                   KG_ERR_FORMAT);
+  assert_null(field);
+}
+
+int main(void)
+{
+  const struct CMUnitTest tests[] = {
+    cmocka_unit_test(closed_meshes_have_exact_signed_distance),
+    cmocka_unit_test(gradient_and_hessian_match_differences),
+    cmocka_unit_test(distances_have_lipschitz_constant_one),
+    cmocka_unit_test(points_on_the_surface_have_a_usable_normal),
+    cmocka_unit_test(open_mesh_is_reported_and_signed_by_side),
+    cmocka_unit_test(inside_out_mesh_is_turned_around),
+    cmocka_unit_test(volume_is_right),
+    cmocka_unit_test(broken_faces_are_counted_and_named),
+    cmocka_unit_test(vertices_at_one_place_are_one_vertex),
+    cmocka_unit_test(bad_input_is_refused),
+    cmocka_unit_test(refused_memory_leaves_nothing_behind),
+    cmocka_unit_test(awkward_triangles_are_all_found),
+    cmocka_unit_test(height_field_is_the_distance_to_its_cells),
+  };
+  return cmocka_run_group_tests_name("mesh", tests, NULL, NULL);
+}
