@@ -21,10 +21,12 @@ static const double CLAVICLE_SHARE = 0.10; /* of the upper trunk's mass, each si
 static const double LEAST_SHARE = 1e-3;    /* of the body's mass, for a segment without extent   */
 
 /* anthropometric ratios, mean of the sexes of the table unless said otherwise */
-static const double LEG_OF_STATURE = 0.4803;  /* hip to knee to ankle joint centre            */
-static const double ANKLE_OF_STATURE = 0.039; /* malleolus above the ground [WINTER, Fig. 4.1] */
-static const double HAND_OF_STATURE = 0.103;  /* wrist to fingertip                           */
-static const double HEAD_OF_STATURE = 0.140;  /* cervicale to vertex                          */
+static const double LEG_OF_STATURE = 0.4803;     /* hip to knee to ankle joint centre            */
+static const double UPRIGHT_OF_STATURE = 0.9708; /* leg, mid-hip to cervicale to vertex         */
+static const double TRUNK_OF_STATURE = 0.3504;   /* mid-hip to cervicale                         */
+static const double ANKLE_OF_STATURE = 0.039;    /* malleolus above the ground [WINTER, Fig. 4.1] */
+static const double HAND_OF_STATURE = 0.103;     /* wrist to fingertip                           */
+static const double HEAD_OF_STATURE = 0.140;     /* cervicale to vertex                          */
 static const double TRUNK_OF_SHOULDERS =
   1.202;                                     /* mid-hip to cervicale over mid-hip to mid-shoulder */
 static const double FOOT_OF_STATURE = 0.152; /* [WINTER, Fig. 4.1] */
@@ -197,7 +199,7 @@ static void measure_trunk(kg_build *b)
   b->neck = kg_vec3_add_scaled(b->mid_hip, b->trunk_length, b->up);
 }
 
-/* The larger of two estimates: from the legs alone, and the sum of ankle, leg, trunk and head.
+/* The larger of two estimates: from the legs alone, and from legs, trunk and head together.
  * Capture skeletons lose length (coinciding joints, a head without end) and seldom gain any. */
 static void estimate_stature(kg_build *b, const kg_clip *clip)
 {
@@ -207,16 +209,19 @@ static void estimate_stature(kg_build *b, const kg_clip *clip)
                        length_between(b, KG_ROLE_R_KNEE, KG_ROLE_R_ANKLE);
   const double leg = 0.5 * (left + right);
   const double from_leg = leg / LEG_OF_STATURE;
+  const double head_length = HEAD_OF_STATURE * from_leg;
+  double upper = b->trunk_length + head_length;
   const int head = kg_build_segment(b, KG_ROLE_HEAD);
-  double trunk = b->trunk_length + HEAD_OF_STATURE * from_leg;
   if (head >= 0) {
-    const kg_vec3 top = farthest_below(clip, b->segments[head].joint);
-    const double end = fmin(kg_vec3_norm(top), HEAD_OF_STATURE * from_leg);
-    trunk = fmax(b->trunk_length, kg_vec3_norm(kg_vec3_sub(b->p[head], b->mid_hip)) + end);
+    const double end = kg_vec3_norm(farthest_below(clip, b->segments[head].joint));
+    const double neck = kg_vec3_norm(kg_vec3_sub(b->p[head], b->mid_hip));
+    upper = fmax(b->trunk_length, neck + fmin(end, head_length));
   }
-  const double whole = leg + trunk + ANKLE_OF_STATURE * from_leg + 0.01;
-  const double stature = fmax(from_leg, fmin(whole, 1.25 * from_leg));
-  b->stature = stature > 0.0 ? stature : b->trunk_length / 0.35;
+  const double whole = (leg + upper) / UPRIGHT_OF_STATURE;
+  b->stature = fmax(from_leg, fmin(whole, 1.25 * from_leg));
+  if (!(b->stature > 0.0)) {
+    b->stature = b->trunk_length / TRUNK_OF_STATURE;
+  }
 }
 
 /* From the head joint to its end site when that is believable, else upwards. */
