@@ -1,0 +1,193 @@
+/* The dynamics of a clip's body against MuJoCo, through the MJCF file that the library writes.
+ * Conventions agree: free joint with linear velocity in world axes and angular velocity in the
+ * root's, ball joints with relative angular velocity in the child's frame. */
+#include "support.h"
+
+#include <mujoco/mujoco.h>
+
+#include "kinegrad/body.h"
+#include "kinegrad/dynamics.h"
+
+enum { STATES = 100, NV_MAX = 72, NQ_MAX = 95 };
+
+typedef struct both {
+  kg_clip *clip;
+  kg_body *body;
+  kg_dynamics *dynamics;
+  mjModel *model;
+  mjData *data;
+  double q[NQ_MAX], v[NV_MAX], a[NV_MAX];
+} both;
+
+static both set_up(void)
+{
+  both b = {0};
+  kg_error error = {0};
+  kg_clip_def clip_def = kg_clip_default_def();
+  clip_def.unit_m = 0.01;
+  kg_mapping mapping;
+  const kg_body_def def = kg_body_default_def();
+  const char *path = KG_TEST_SCRATCH "/walker.xml";
+  if (kg_clip_read(&b.clip, KG_TEST_DATA "/walker.bvh", &clip_def, &error) != KG_OK ||
+      kg_mapping_find(&mapping, b.clip, NULL, &error) != KG_OK ||
+      kg_body_from_clip(&b.body, b.clip, &mapping, &def, &error) != KG_OK ||
+      kg_body_write_mjcf(b.body, path, 9.8, &error) != KG_OK ||
+      kg_dynamics_create(&b.dynamics, b.body, NULL) != KG_OK) {
+    fail_msg("%s", error.text);
+  }
+  char text[1000] = "";
+  b.model = mj_loadXML(path, NULL, text, sizeof text);
+  if (!b.model) {
+    fail_msg("%s", text);
+  }
+  b.model->opt.disableflags |= mjDSBL_CONSTRAINT; /* no contact in these comparisons */
+  b.data = mj_makeData(b.model);
+  assert_non_null(b.data);
+  assert_int_equal(b.model->nq, b.body->nq);
+  assert_int_equal(b.model->nv, b.body->nv);
+  return b;
+}
+
+static void tear_down(both *b)
+{
+  mj_deleteData(b->data);
+  mj_deleteModel(b->model);
+  kg_dynamics_destroy(b->dynamics);
+  kg_body_destroy(b->body);
+  kg_clip_destroy(b->clip);
+}
+
+/* Any orientation in every joint, fast motion, large accelerations. */
+static void random_state(both *b, kg_random *random)
+{
+  for (int k = 0; k < 3; k++) {
+    b->q[k] = kg_random_normal(random);
+  }
+  for (int i = 0; i < b->body->segment_count; i++) {
+    const kg_quat r = random_quat(random);
+    const double parts[4] = {r.w, r.x, r.y, r.z};
+    memcpy(b->q + 3 + 4 * i, parts, sizeof parts);
+  }
+  for (int k = 0; k < b->body->nv; k++) {
+    b->v[k] = 3.0 * kg_random_normal(random);
+    b->a[k] = 30.0 * kg_random_normal(random);
+  }
+  memcpy(b->data->qpos, b->q, (size_t)b->body->nq * sizeof(double));
+  memcpy(b->data->qvel, b->v, (size_t)b->body->nv * sizeof(double));
+  memcpy(b->data->qacc, b->a, (size_t)b->body->nv * sizeof(double));
+  mj_inverse(b->model, b->data);
+  memcpy(b->data->qacc, b->a, (size_t)b->body->nv * sizeof(double));
+}
+
+static double relative_difference(const double *ours, const double *theirs, int n)
+{
+  double difference = 0.0, size = 0.0;
+  for (int k = 0; k < n; k++) {
+    difference += (ours[k] - theirs[k]) * (ours[k] - theirs[k]);
+    size += theirs[k] * theirs[k];
+  }
+  assert_true(size > 0.0);
+  return sqrt(difference / size);
+}
+
+static void dynamics_agree_with_mujoco(void **state)
+{
+  (void)state;
+  both b = set_up();
+  assert_int_equal(b.body->segment_count, 23);
+  kg_random random = kg_random_make(2022);
+  const int nv = b.body->nv;
+  static double M[NV_MAX * NV_MAX], theirs[NV_MAX * NV_MAX], tau[NV_MAX];
+  const double zero[NV_MAX] = {0};
+  double worst[3] = {0, 0, 0};
+  for (int s = 0; s < STATES; s++) {
+    random_state(&b, &random);
+    kg_dynamics_inverse(b.dynamics, tau, b.q, b.v, b.a);
+    worst[0] = fmax(worst[0], relative_difference(tau, b.data->qfrc_inverse, nv));
+    mj_forward(b.model, b.data);
+    kg_dynamics_inverse(b.dynamics, tau, b.q, b.v, zero);
+    worst[1] = fmax(worst[1], relative_difference(tau, b.data->qfrc_bias, nv));
+    mj_fullM(b.model, theirs, b.data->qM);
+    kg_dynamics_mass_matrix(b.dynamics, M, b.q);
+    worst[2] = fmax(worst[2], relative_difference(M, theirs, nv * nv));
+  }
+  print_message("worst relative difference over %d states: inverse dynamics %.1e, bias %.1e, "
+                "M %.1e\n",
+                STATES, worst[0], worst[1], worst[2]);
+  for (int k = 0; k < 3; k++) {
+    assert_at_most(worst[k], 1e-10);
+  }
+  tear_down(&b);
+}
+
+static void poses_and_momentum_agree_with_mujoco(void **state)
+{
+  (void)state;
+  both b = set_up();
+  kg_random random = kg_random_make(77);
+  kg_vec3 p[23];
+  kg_mat3 R[23];
+  for (int s = 0; s < STATES; s++) {
+    random_state(&b, &random);
+    mj_forward(b.model, b.data);
+    mj_subtreeVel(b.model, b.data);
+    kg_dynamics_pose(b.dynamics, b.q, p, R);
+    for (int i = 0; i < 23; i++) {
+      const double *x = b.data->xpos + 3 * (i + 1), *m = b.data->xmat + 9 * (i + 1);
+      const kg_vec3 d = kg_vec3_sub(p[i], kg_vec3_make(x[0], x[1], x[2]));
+      assert_at_most(kg_vec3_norm(d), 1e-12);
+      for (int k = 0; k < 9; k++) {
+        assert_close(R[i].m[k], m[k], 1e-12);
+      }
+    }
+    const kg_centroid c = kg_dynamics_centroid(b.dynamics, b.q, b.v);
+    const double *L = b.data->subtree_angmom + 3, *u = b.data->subtree_linvel + 3;
+    assert_close(c.L.x, L[0], 1e-10);
+    assert_close(c.L.y, L[1], 1e-10);
+    assert_close(c.L.z, L[2], 1e-10);
+    assert_close(c.com_dot.x, u[0], 1e-10);
+    assert_close(c.com_dot.y, u[1], 1e-10);
+    assert_close(c.com_dot.z, u[2], 1e-10);
+  }
+  tear_down(&b);
+}
+
+static void the_model_stands_on_its_ground(void **state)
+{
+  (void)state;
+  both b = set_up();
+  b.model->opt.disableflags &= ~mjDSBL_CONSTRAINT;
+  kg_body_state_from_clip(b.body, b.clip, 0, b.q, NULL);
+  b.q[1] -= 0.2; /* well into the floor: MuJoCo must see contacts, and only with the ground */
+  memcpy(b.data->qpos, b.q, (size_t)b.body->nq * sizeof(double));
+  mj_forward(b.model, b.data);
+  assert_true(b.data->ncon > 0);
+  const int ground = mj_name2id(b.model, mjOBJ_GEOM, "ground");
+  for (int c = 0; c < b.data->ncon; c++) {
+    assert_true(b.data->contact[c].geom1 == ground || b.data->contact[c].geom2 == ground);
+    assert_true(fabs(b.data->contact[c].frame[1]) > 0.999); /* the normal is vertical */
+  }
+  tear_down(&b);
+}
+
+static void a_path_that_cannot_be_written_is_reported(void **state)
+{
+  (void)state;
+  both b = set_up();
+  kg_error error = {0};
+  const char *path = KG_TEST_SCRATCH "/no such folder/model.xml";
+  assert_int_equal(kg_body_write_mjcf(b.body, path, 9.8, &error), KG_ERR_WRITE);
+  assert_string_equal(error.path, path);
+  tear_down(&b);
+}
+
+int main(void)
+{
+  const struct CMUnitTest tests[] = {
+    cmocka_unit_test(dynamics_agree_with_mujoco),
+    cmocka_unit_test(poses_and_momentum_agree_with_mujoco),
+    cmocka_unit_test(the_model_stands_on_its_ground),
+    cmocka_unit_test(a_path_that_cannot_be_written_is_reported),
+  };
+  return cmocka_run_group_tests_name("mujoco", tests, NULL, NULL);
+}
