@@ -1,0 +1,82 @@
+/* Private to the metrics: what metrics.c, measure.c, balance.c and smoothness.c share. */
+#ifndef PIPELINE_MEASURE_H
+#define PIPELINE_MEASURE_H
+
+#include "kinegrad/arena.h"
+#include "kinegrad/dynamics.h"
+#include "kinegrad/metrics.h"
+
+enum {
+  KG_PROBE_PER_SEGMENT = 3, /* lowest samples of a segment that may carry force, sole nodes apart */
+  KG_PROBE_CARRIERS = 64,   /* in all */
+  KG_PROBE_NODES = 2 * KG_SOLE_NODE_COUNT,
+  KG_FRICTION_EDGES = 8
+};
+
+/* A point of the body near the scene's surface. */
+typedef struct kg_probe_point {
+  int segment;
+  kg_vec3 x, normal;
+  double distance; /* Phi; INFINITY when the point is farther than the probe looks */
+} kg_probe_point;
+
+/* One pose against the scene. */
+typedef struct kg_probe {
+  double lowest;                        /* smallest Phi seen, INFINITY when none is near  */
+  kg_probe_point nodes[KG_PROBE_NODES]; /* of the soles                                   */
+  int node_count;
+  kg_probe_point carriers[KG_PROBE_CARRIERS]; /* points with Phi <= KG_METRIC_BALANCE_HEIGHT_M */
+  int carrier_count;
+  int carrier_nodes; /* of the carriers, how many are sole nodes; they come first */
+} kg_probe;
+
+typedef struct kg_ball {
+  kg_vec3 center; /* segment frame */
+  double radius;
+} kg_ball;
+
+/* Everything a measurement needs; one per call of kg_metrics_create. */
+typedef struct kg_measure {
+  const kg_subject *subject;
+  kg_dynamics *dynamics;
+  int T;           /* motion frames                       */
+  double dt;       /* s                                   */
+  kg_ball *bounds; /* (n) around the points of a segment  */
+  kg_vec3 *p;      /* (n) pose scratch                    */
+  kg_mat3 *R;      /* (n)                                 */
+  double *v;       /* (nv)                                */
+  double *q[3];    /* (nq) resampled states               */
+  kg_probe probe[2];
+  kg_vec3 *com;   /* (T) m                               */
+  kg_vec3 *L;     /* (T) about the com, kg m^2/s         */
+  bool *flight;   /* (T) no point within the balance height */
+  double *series; /* (T)                                 */
+  double *filter_work;
+  double *spectrum; /* (2 * fft_size)                      */
+  int fft_size;
+  double *A, *x, *nnls_work;
+} kg_measure;
+
+/* False when memory is refused; release in any case. */
+bool kg_measure_create(kg_measure *measure, const kg_subject *subject, kg_arena *arena);
+void kg_measure_release(kg_measure *measure);
+
+/* All metrics of a motion (T, nq). joints (T, n): world positions of the joints, out.
+ * penetration (T), may be NULL: d_pen, out. */
+kg_motion_metrics kg_measure_motion(kg_measure *measure, const double *q, kg_vec3 *joints,
+                                    double *penetration);
+
+/* The pose against the scene; fills probe, leaves the pose in measure->p and R. */
+void kg_measure_probe(kg_measure *measure, const double *q, kg_probe *probe);
+
+/* momentum_balance and force_balance of a motion whose com and L are in measure (both are smoothed
+ * in place). */
+void kg_measure_balance(kg_measure *measure, const double *q, kg_motion_metrics *out);
+
+/* jerk_rms and spectral_arc_length from joint positions (T, n). */
+void kg_measure_smoothness(kg_measure *measure, const kg_vec3 *joints, kg_motion_metrics *out);
+
+/* Doubles of transform length for the spectral arc length of T frames. */
+int kg_measure_fft_size(int T);
+
+#endif
