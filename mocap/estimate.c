@@ -37,7 +37,8 @@ typedef struct body_joints {
   int head, hip[2], knee[2], ankle[2];
 } body_joints;
 
-static bool find_body(body_joints *body, const kg_clip *clip)
+/* KG_ERR_UNMAPPED: no known body */
+static kg_status find_body(body_joints *body, const kg_clip *clip)
 {
   kg_mapping mapping;
   const kg_status status = kg_mapping_find(&mapping, clip, NULL, NULL);
@@ -46,7 +47,7 @@ static bool find_body(body_joints *body, const kg_clip *clip)
                         {joint[KG_ROLE_L_HIP], joint[KG_ROLE_R_HIP]},
                         {joint[KG_ROLE_L_KNEE], joint[KG_ROLE_R_KNEE]},
                         {joint[KG_ROLE_L_ANKLE], joint[KG_ROLE_R_ANKLE]}};
-  return status == KG_OK;
+  return status;
 }
 
 /* ---- poses in file units and axes ------------------------------------------------------------- */
@@ -298,12 +299,17 @@ static void find_inserted_frame(kg_clip *clip, const kg_clip_def *def)
            usual * 57.29577951308232);
 }
 
-void kg_clip_estimate(kg_clip *clip, const kg_clip_def *def, double stated_unit_m)
+kg_status kg_clip_estimate(kg_clip *clip, const kg_clip_def *def, double stated_unit_m)
 {
   body_joints body;
-  const body_joints *found = find_body(&body, clip) ? &body : NULL;
+  const kg_status status = find_body(&body, clip);
+  const body_joints *found = status == KG_OK ? &body : NULL;
+  if (status == KG_ERR_NO_MEMORY) {
+    return status;
+  }
   choose_unit(clip, def, found, stated_unit_m);
   choose_up(clip, def, found);
   kg_clip_private(clip)->up = rotation_to_y_up(clip->source.up);
   find_inserted_frame(clip, def);
+  return KG_OK;
 }

@@ -21,9 +21,9 @@
 static const double pi = 3.14159265358979323846;
 static const double degree = 0.017453292519943295769;
 
-/* Below this cos(beta), alpha and gamma apart are not worth having: an angle error of the square
- * of this number at most. */
-static const double gimbal_lock = 1e-8;
+/* Below this cos(beta) alpha is kept: its own error would be 1e-16 / cos(beta), and leaving it alone
+ * costs an angle error of cos(beta) at most. */
+static const double gimbal_lock = 1e-11;
 
 /* Channel values of changed rotations are multiples of 1e-9 degrees: exact in the written file. */
 static const double grain_per_degree = 1e9;

@@ -110,7 +110,8 @@ kg_status kg_clip_read_amc(kg_clip **clip, const char *amc, size_t amc_length, c
 /* ---- estimate.c ------------------------------------------------------------------------------ */
 
 /* Decides unit, up axis and inserted first frame from raw joints and values; fills clip->source
- * and the private up rotation. stated_unit_m: what the file itself says, 0 when nothing. */
-void kg_clip_estimate(kg_clip *clip, const kg_clip_def *def, double stated_unit_m);
+ * and the private up rotation. stated_unit_m: what the file itself says, 0 when nothing.
+ * KG_ERR_NO_MEMORY. */
+kg_status kg_clip_estimate(kg_clip *clip, const kg_clip_def *def, double stated_unit_m);
 
 #endif

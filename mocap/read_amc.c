@@ -423,11 +423,16 @@ kg_status kg_clip_read_amc_text(kg_clip **clip, const char *asf, size_t asf_leng
   if (status == KG_OK) {
     const double unit = reader.skeleton.length_unit;
     (*clip)->source.declared_frames = (*clip)->frame_count;
-    kg_clip_estimate(*clip, def, unit > 0.0 ? 0.0254 / unit : 0.0);
+    status = kg_clip_estimate(*clip, def, unit > 0.0 ? 0.0254 / unit : 0.0);
+  }
+  if (status == KG_OK) {
     kg_clip_finish(*clip);
   } else {
     kg_clip_destroy(*clip);
     *clip = NULL;
+  }
+  if (status == KG_ERR_NO_MEMORY) {
+    kg_fail(error, status, amc_name, 0, 0, "not enough memory for the clip");
   }
   kg_arena_release(&scratch);
   return status;

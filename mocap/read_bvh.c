@@ -469,7 +469,9 @@ kg_status kg_clip_read_bvh_text(kg_clip **clip, const char *text, size_t length,
     (*clip)->source.declared_frames = reader.declared;
     (*clip)->source.rate_given = def->rate_hz > 0.0;
     warn_about_frames(&reader, *clip);
-    kg_clip_estimate(*clip, def, 0.0);
+    status = kg_clip_estimate(*clip, def, 0.0) == KG_OK ? KG_OK : no_memory(&reader);
+  }
+  if (status == KG_OK) {
     kg_clip_finish(*clip);
   } else {
     kg_clip_destroy(*clip);
