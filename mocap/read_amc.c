@@ -282,6 +282,22 @@ static kg_status read_frame_number(amc_reader *reader)
   return KG_OK;
 }
 
+/* The text ends within the word where reading stopped: a file that was cut off. A last word that
+ * could never have become a number or a name ("nan") is an error all the same. */
+static bool is_cut_off(const amc_reader *reader, const char *line_start)
+{
+  const kg_word word = kg_text_peek(&reader->text);
+  if (word.start + word.length != reader->text.end) {
+    return false;
+  }
+  for (size_t i = 0; i < word.length && word.start != line_start; i++) {
+    if (!strchr("0123456789.+-eE", word.start[i])) {
+      return false;
+    }
+  }
+  return true;
+}
+
 /* The bones of one frame; *complete is false when the text ended within it. */
 static kg_status read_frame(amc_reader *reader, bool *complete)
 {
@@ -292,9 +308,9 @@ static kg_status read_frame(amc_reader *reader, bool *complete)
   for (kg_text_skip_blank(&reader->text); status == KG_OK && !kg_text_at_end(&reader->text) &&
                                           !(*reader->text.at >= '0' && *reader->text.at <= '9');
        kg_text_skip_blank(&reader->text)) {
+    const char *line = reader->text.at;
     status = read_bone_line(reader, frame, &guess);
-    if (status == KG_ERR_FORMAT && kg_text_at_end(&reader->text)) {
-      status = KG_OK; /* the last line was cut off */
+    if (status == KG_ERR_FORMAT && is_cut_off(reader, line)) {
       *complete = false;
       return KG_OK;
     }
