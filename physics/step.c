@@ -12,6 +12,16 @@
 /* kg m^2: keeps the scale finite for a joint that moves nothing. */
 static const double SMALLEST_INERTIA = 1e-12;
 
+/* Stages of a step that plain Newton does not solve: the contact law is made soft, solved roughly,
+ * and hardened to what it is (docs/theory/contact.md, section 4). */
+static const double ROUGH = 1e-4; /* kg^1/2 m/s */
+enum { ROUGH_ITERATIONS = 12 };
+typedef struct softening {
+  double floor_share, stick; /* at least */
+} softening;
+static const softening STAGES[] = {{0.9, 1.0},   {0.7, 0.3},   {0.5, 0.1},   {0.3, 0.03},
+                                   {0.15, 0.01}, {0.07, 3e-3}, {0.04, 1e-3}, {0.0, 0.0}};
+
 /* The points of one segment and a ball around them, to dismiss them all with one distance. */
 typedef struct point_group {
   int first, count; /* in kg_step.order */
@@ -22,8 +32,10 @@ typedef struct point_group {
 struct kg_step {
   kg_step_def def;
   kg_dynamics *dynamics;
-  kg_newton *newton;
-  int *order; /* points sorted by segment */
+  kg_newton *newton;         /* to the tolerance                        */
+  kg_newton *rough;          /* to ROUGH: stages of the continuation    */
+  kg_contact_params contact; /* of the stage */
+  int *order;                /* points sorted by segment */
   point_group *groups;
   kg_step_contact *contacts;
   int contact_count;
@@ -96,7 +108,11 @@ static kg_status create_parts(kg_step *s)
   newton.tolerance = def->tolerance;
   newton.max_iterations = def->max_iterations;
   newton.allocator = def->allocator;
-  return kg_newton_create(&s->newton, &newton);
+  status = kg_newton_create(&s->newton, &newton);
+  if (status != KG_OK) return status;
+  newton.tolerance = fmax(ROUGH, def->tolerance);
+  newton.max_iterations = ROUGH_ITERATIONS;
+  return kg_newton_create(&s->rough, &newton);
 }
 
 kg_status kg_step_create(kg_step **step, const kg_step_def *def)
@@ -107,7 +123,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   kg_arena arena;
   kg_arena_init(&arena, def->allocator);
   kg_step *s = KG_ARENA_ARRAY(&arena, kg_step, 1);
-  kg_step made = {.def = *def};
+  kg_step made = {.def = *def, .contact = def->contact};
   made.order = KG_ARENA_ARRAY(&arena, int, body->point_count);
   made.groups = KG_ARENA_ARRAY(&arena, point_group, body->segment_count);
   made.contacts = KG_ARENA_ARRAY(&arena, kg_step_contact, body->point_count);
@@ -125,6 +141,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
     status = kg_arena_failed(&arena) ? KG_ERR_NO_MEMORY : KG_OK;
   }
   if (status != KG_OK) {
+    kg_newton_destroy(made.rough);
     kg_newton_destroy(made.newton);
     kg_dynamics_destroy(made.dynamics);
     kg_arena_release(&arena);
@@ -140,6 +157,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
 void kg_step_destroy(kg_step *step)
 {
   if (step) {
+    kg_newton_destroy(step->rough);
     kg_newton_destroy(step->newton);
     kg_dynamics_destroy(step->dynamics);
     kg_arena arena = step->arena; /* the arena holds the object itself */
@@ -166,7 +184,7 @@ static void collide_group(kg_step *s, int i)
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, body->points[point].p));
     kg_step_contact *c = &s->contacts[s->contact_count];
     c->x = kg_vec3_add(O, x);
-    if (kg_contact_evaluate(&s->def.contact, s->def.scene, c->x, point_velocity(l, x), false,
+    if (kg_contact_evaluate(&s->contact, s->def.scene, c->x, point_velocity(l, x), false,
                             &c->force)) {
       c->point = point;
       s->contact_count++;
@@ -191,7 +209,7 @@ static void collide(kg_step *s)
     const kg_sdf_value far =
       kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
     /* Phi changes by no more than the distance moved */
-    if (!(far.distance > g->radius + s->def.contact.layer)) {
+    if (!(far.distance > g->radius + s->contact.layer)) {
       collide_group(s, i);
     }
   }
@@ -222,7 +240,7 @@ static void linearize_contact(kg_step *s, kg_step_contact *c)
   kg_composite *sum = &s->dynamics->sum[segment + 1];
   const kg_vec3 x = kg_vec3_sub(c->x, s->dynamics->origin);
   const kg_vec3 u = point_velocity(l, x);
-  (void)kg_contact_evaluate(&s->def.contact, s->def.scene, c->x, u, true, &c->force);
+  (void)kg_contact_evaluate(&s->contact, s->def.scene, c->x, u, true, &c->force);
   if (!sum->loaded) {
     memset(&sum->K, 0, sizeof sum->K);
     memset(&sum->D, 0, sizeof sum->D);
@@ -363,14 +381,38 @@ static bool direction(double *p, const double *x, const double *G, void *user)
 
 /* ---- steps ------------------------------------------------------------------------------------*/
 
+static void count_newton(kg_step_report *report, const kg_newton_report *r)
+{
+  report->iterations += r->iterations;
+  report->cuts += r->cuts;
+}
+
+/* From the soft law to the true one; x: start in, best point out. */
+static kg_newton_report solve_stages(kg_step *s, double *x, kg_step_report *report)
+{
+  kg_newton_report r = {.stop = KG_NEWTON_STALLED};
+  for (size_t k = 0; k < KG_COUNT_OF(STAGES); k++) {
+    const bool last = k + 1 == KG_COUNT_OF(STAGES);
+    s->contact.floor_share = fmax(s->def.contact.floor_share, STAGES[k].floor_share);
+    s->contact.stick = fmax(s->def.contact.stick, STAGES[k].stick);
+    r = kg_newton_solve(last ? s->newton : s->rough, x, s->scale, residual, direction, s);
+    count_newton(report, &r);
+  }
+  s->evaluated = false; /* the links may belong to another stage */
+  return r;
+}
+
 /* One plain step from (q, v) into (q_end, x); x: starting guess in. */
 static bool solve_once(kg_step *s, const double *q, const double *v, double dt, double *x,
                        kg_step_report *report, double *worst)
 {
   set_problem(s, q, v, s->tau, dt);
-  const kg_newton_report r = kg_newton_solve(s->newton, x, s->scale, residual, direction, s);
-  report->iterations += r.iterations;
-  report->cuts += r.cuts;
+  kg_newton_report r = kg_newton_solve(s->newton, x, s->scale, residual, direction, s);
+  count_newton(report, &r);
+  if (r.stop != KG_NEWTON_CONVERGED && s->def.scene) {
+    memcpy(x, v, (size_t)s->def.body->nv * sizeof *x);
+    r = solve_stages(s, x, report);
+  }
   *worst = fmax(*worst, r.residual);
   return r.stop == KG_NEWTON_CONVERGED;
 }
