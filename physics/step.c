@@ -12,15 +12,14 @@
 /* kg m^2: keeps the scale finite for a joint that moves nothing. */
 static const double SMALLEST_INERTIA = 1e-12;
 
-/* Stages of a step that plain Newton does not solve: the contact law is made soft, solved roughly,
+/* What plain Newton does not solve is solved by continuation: the contact law is made soft, solved,
  * and hardened to what it is (docs/theory/contact.md, section 4). */
-static const double ROUGH = 1e-4; /* kg^1/2 m/s */
-enum { ROUGH_ITERATIONS = 12 };
-typedef struct softening {
-  double floor_share, stick; /* at least */
-} softening;
-static const softening STAGES[] = {{0.9, 1.0},   {0.7, 0.3},   {0.5, 0.1},   {0.3, 0.03},
-                                   {0.15, 0.01}, {0.07, 3e-3}, {0.04, 1e-3}, {0.0, 0.0}};
+static const double SOFT_FLOOR_SHARE = 0.9;
+static const double SOFT_STICK = 1.0;       /* m/s                                             */
+static const double ROUGH = 1e-4;           /* kg^1/2 m/s; tolerance on the way                */
+static const double FIRST_HARDENING = 0.15; /* of the way from soft (0) to hard (1)            */
+static const double SMALLEST_HARDENING = 0.01;
+enum { PLAIN_ITERATIONS = 8, ROUGH_ITERATIONS = 10 };
 
 /* The points of one segment and a ball around them, to dismiss them all with one distance. */
 typedef struct point_group {
@@ -32,7 +31,8 @@ typedef struct point_group {
 struct kg_step {
   kg_step_def def;
   kg_dynamics *dynamics;
-  kg_newton *newton;         /* to the tolerance                        */
+  kg_newton *newton;         /* to the tolerance                                     */
+  kg_newton *plain;          /* the same with few iterations: the first attempt      */
   kg_newton *rough;          /* to ROUGH: stages of the continuation    */
   kg_contact_params contact; /* of the stage */
   int *order;                /* points sorted by segment */
@@ -45,6 +45,7 @@ struct kg_step {
   double *v_end;     /* the v' the links were last evaluated at; only with evaluated */
   bool evaluated;
   double *G;                 /* of a repeated evaluation     */
+  double *x_good;            /* last solution on the way to the hard law */
   double *q_sub, *v_sub, *x; /* state inside a sequence of sub-steps, unknowns */
   /* the step being solved */
   const double *q, *v, *tau;
@@ -110,6 +111,10 @@ static kg_status create_parts(kg_step *s)
   newton.allocator = def->allocator;
   status = kg_newton_create(&s->newton, &newton);
   if (status != KG_OK) return status;
+  newton.max_iterations =
+    def->max_iterations < PLAIN_ITERATIONS ? def->max_iterations : PLAIN_ITERATIONS;
+  status = kg_newton_create(&s->plain, &newton);
+  if (status != KG_OK) return status;
   newton.tolerance = fmax(ROUGH, def->tolerance);
   newton.max_iterations = ROUGH_ITERATIONS;
   return kg_newton_create(&s->rough, &newton);
@@ -131,6 +136,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   made.q_end = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.a = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.G = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.x_good = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.v_end = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.q_sub = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.v_sub = KG_ARENA_ARRAY(&arena, double, body->nv);
@@ -142,6 +148,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   }
   if (status != KG_OK) {
     kg_newton_destroy(made.rough);
+    kg_newton_destroy(made.plain);
     kg_newton_destroy(made.newton);
     kg_dynamics_destroy(made.dynamics);
     kg_arena_release(&arena);
@@ -158,6 +165,7 @@ void kg_step_destroy(kg_step *step)
 {
   if (step) {
     kg_newton_destroy(step->rough);
+    kg_newton_destroy(step->plain);
     kg_newton_destroy(step->newton);
     kg_dynamics_destroy(step->dynamics);
     kg_arena arena = step->arena; /* the arena holds the object itself */
@@ -387,18 +395,44 @@ static void count_newton(kg_step_report *report, const kg_newton_report *r)
   report->cuts += r->cuts;
 }
 
-/* From the soft law to the true one; x: start in, best point out. */
-static kg_newton_report solve_stages(kg_step *s, double *x, kg_step_report *report)
+/* The law at a hardness between 0 and 1, in equal ratios. */
+static void set_hardness(kg_step *s, double hardness)
 {
-  kg_newton_report r = {.stop = KG_NEWTON_STALLED};
-  for (size_t k = 0; k < KG_COUNT_OF(STAGES); k++) {
-    const bool last = k + 1 == KG_COUNT_OF(STAGES);
-    s->contact.floor_share = fmax(s->def.contact.floor_share, STAGES[k].floor_share);
-    s->contact.stick = fmax(s->def.contact.stick, STAGES[k].stick);
-    r = kg_newton_solve(last ? s->newton : s->rough, x, s->scale, residual, direction, s);
-    count_newton(report, &r);
+  const kg_contact_params *hard = &s->def.contact;
+  s->contact = *hard;
+  if (hardness < 1.0) {
+    const double floor = fmax(SOFT_FLOOR_SHARE, hard->floor_share);
+    const double stick = fmax(SOFT_STICK, hard->stick);
+    s->contact.floor_share = floor * pow(hard->floor_share / floor, hardness);
+    s->contact.stick = stick * pow(hard->stick / stick, hardness);
   }
-  s->evaluated = false; /* the links may belong to another stage */
+  s->evaluated = false; /* the links and contacts belong to the law before */
+}
+
+/* From the soft law to the true one with steps as long as Newton can follow; x: start in, best
+ * point out. */
+static kg_newton_report solve_hardening(kg_step *s, double *x, kg_step_report *report)
+{
+  const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
+  kg_newton_report r;
+  double done = -1.0, stride = FIRST_HARDENING, target = 0.0;
+  do {
+    memcpy(s->x_good, x, bytes);
+    set_hardness(s, target);
+    r = kg_newton_solve(target < 1.0 ? s->rough : s->newton, x, s->scale, residual, direction, s);
+    count_newton(report, &r);
+    if (r.stop == KG_NEWTON_CONVERGED) {
+      stride = done < 0.0 ? stride : 1.5 * stride;
+      done = target;
+    } else if (done < 0.0 || stride < SMALLEST_HARDENING) {
+      break;
+    } else {
+      memcpy(x, s->x_good, bytes);
+      stride *= 0.4;
+    }
+    target = fmin(1.0, done + stride);
+  } while (done < 1.0);
+  set_hardness(s, 1.0);
   return r;
 }
 
@@ -407,11 +441,11 @@ static bool solve_once(kg_step *s, const double *q, const double *v, double dt, 
                        kg_step_report *report, double *worst)
 {
   set_problem(s, q, v, s->tau, dt);
-  kg_newton_report r = kg_newton_solve(s->newton, x, s->scale, residual, direction, s);
+  kg_newton_report r = kg_newton_solve(s->plain, x, s->scale, residual, direction, s);
   count_newton(report, &r);
   if (r.stop != KG_NEWTON_CONVERGED && s->def.scene) {
     memcpy(x, v, (size_t)s->def.body->nv * sizeof *x);
-    r = solve_stages(s, x, report);
+    r = solve_hardening(s, x, report);
   }
   *worst = fmax(*worst, r.residual);
   return r.stop == KG_NEWTON_CONVERGED;
