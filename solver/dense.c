@@ -15,6 +15,8 @@ extern void dpotrf_(const char *uplo, const int *n, double *a, const int *lda, i
                     size_t uplo_length);
 extern void dpotrs_(const char *uplo, const int *n, const int *nrhs, const double *a,
                     const int *lda, double *b, const int *ldb, int *info, size_t uplo_length);
+extern void dpbsv_(const char *uplo, const int *n, const int *kd, const int *nrhs, double *ab,
+                   const int *ldab, double *b, const int *ldb, int *info, size_t uplo_length);
 
 /* LAPACK lets NaN pass through a factorisation: the diagonal tells */
 static bool usable_diagonal(const double *A, int n)
@@ -69,4 +71,18 @@ void kg_dense_cholesky_solve(const double *L, int n, double *b, int count)
   int info = 0;
   dpotrs_("U", &n, &count, L, &n, b, &n, &info, 1);
   KG_ASSERT(info == 0);
+}
+
+bool kg_band_cholesky_solve(double *band, int n, int below, double *b)
+{
+  KG_ASSERT(band && b && n >= 1 && below >= 0);
+  const int one = 1, rows = below + 1;
+  int info = 0;
+  dpbsv_("L", &n, &below, &one, band, &rows, b, &n, &info, 1);
+  KG_ASSERT(info >= 0);
+  if (info != 0) return false;
+  for (int j = 0; j < n; j++) { /* as above: NaN passes through LAPACK */
+    if (!isfinite(b[j])) return false;
+  }
+  return true;
 }

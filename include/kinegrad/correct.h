@@ -21,9 +21,33 @@ typedef enum kg_correct_method { KG_CORRECT_SDF, KG_CORRECT_TRACK } kg_correct_m
 /* Called now and then with the share done, 0 to 1; returning false stops (result->interrupted). */
 typedef bool kg_progress_fn(double share, const char *stage, void *user);
 
+/* Everything that was tuned, in one place; defaults in kg_track_default_params(). How they were
+ * chosen, and their scores on clips they were not tuned on: docs/design/003-track.md. */
+typedef struct kg_track_params {
+  double smoothing_hz;       /* zero-lag low-pass of the capture before anything else          */
+  double plant_speed;        /* m/s; a point slower than this and low is planted               */
+  double plant_height;       /* m; above the ground, in the capture                            */
+  double plant_flat;         /* m; above the lowest point of its foot                          */
+  double rest_height;        /* m; Phi of a planted point in the reference                     */
+  double clearance;          /* m; of a foot in the air                                        */
+  double clearance_speed;    /* m/s; at which the clearance is gained                          */
+  double ease_time;          /* s; over which the feet's corrections fade                      */
+  double joint_frequency;    /* Hz; feedback of the joints, critically damped                  */
+  double root_frequency;     /* Hz; feedback of the root, critically damped                    */
+  double wrench_weight;      /* cost of the root wrench over that of the same acceleration     */
+  double moment_weight;      /* the same for its moment                                        */
+  double joint_damping;      /* N m s/rad; implicit velocity feedback of every joint           */
+  double leg_weight;         /* kg m^2; cost of a leg joint's deviation, beside its inertia    */
+  double trunk_weight;       /* kg m^2; the same for the other joints                          */
+  double friction_share;     /* of the friction cone that plan and controller may use          */
+} kg_track_params;
+
+KG_API kg_track_params kg_track_default_params(void);
+
 /* Start from kg_correct_default_def(). */
 typedef struct kg_correct_def {
   kg_correct_method method;      /* default track                                             */
+  kg_track_params track;
   double dt;                     /* s, simulation step; 0: the frame time, or an even share of it
                                     at most 0.01                                              */
   double gravity;                /* m/s^2, default 9.8                                        */

@@ -28,6 +28,11 @@ KG_API KG_MUST_USE bool kg_dense_cholesky_factor(double *A, int n);
 /* Solves A x = b for (count, n) right-hand sides as above. L from kg_dense_cholesky_factor. */
 KG_API void kg_dense_cholesky_solve(const double *L, int n, double *b, int count);
 
+/* Solves A x = b for a symmetric positive definite band matrix with `below` sub-diagonals:
+ * A(j + i, j) is band[j * (below + 1) + i], i = 0 .. below. band and b[n] are overwritten (b by x).
+ * False when A is not positive definite. */
+KG_API KG_MUST_USE bool kg_band_cholesky_solve(double *band, int n, int below, double *b);
+
 #ifdef __cplusplus
 }
 #endif

@@ -43,6 +43,7 @@ typedef struct kg_subject {
   kg_floor floor;
   kg_scene scene;         /* shape 0 is the ground plane             */
   kg_body *body;
+  int joint_count;        /* of the clip                             */
   int first_frame;        /* of the clip: the first that is motion   */
   int frame_count;        /* T, motion frames                        */
   double dt;              /* s, the clip's frame time                */

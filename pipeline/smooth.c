@@ -1,0 +1,320 @@
+/* The kinematic method: the smallest smooth change of the poses that removes penetration.
+ *
+ * Unknown is the change D_t in R^nv of every frame, measured from the capture:
+ *   min  1/2 sum_t |D_t|^2_W + tau^4/dt^4 |D_{t-1} - 2 D_t + D_{t+1}|^2_W
+ *   s.t. Phi(x_k(q_t (+) D_t)) >= 0   for every point k and frame t
+ * W is the diagonal of the mass matrix in the first frame. The second differences are why nothing
+ * pops: a change is eased in and out over about tau before and after a contact.
+ *
+ * Linearised in D (rows g = n'J), the dual is a quadratic over y >= 0 with the operator
+ *   G (A kron W)^-1 G',   A = I + tau4 D2'D2 (smoother.c),
+ * and is solved by the accelerated projected gradient of [BT]; three linearisations. What is left,
+ * fractions of a millimetre that change faster than tau, is removed frame by frame by the correction
+ * of kinegrad/correction.h, down to its tolerance.
+ *
+ * [BT] A. Beck, M. Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging
+ *      Sciences 2(1), 2009, (4.1) to (4.3). */
+#include "pipeline/pipeline.h"
+
+#include "kinegrad/correction.h"
+#include "kinegrad/dynamics.h"
+
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+enum { LINEARISATIONS = 4, DUAL_ITERATIONS = 120, POWER_ITERATIONS = 12 };
+
+static const double EASE_TIME_S = 0.06;
+static const double NEAR_M = 0.004; /* points nearer than this get a row        */
+static const double AIM_M = 2e-5;   /* distance asked for, above the tolerance  */
+
+/* One constraint: point k in frame t. Its row is stored over the columns of its support path. */
+typedef struct row {
+  int frame;
+  int segment;
+  size_t first; /* of its entries in `entries`, in the order of path_columns */
+  double bound; /* g D >= bound                                               */
+  double y, z;  /* dual variable and its extrapolation                        */
+} row;
+
+typedef struct smoothing {
+  const kg_subject *subject;
+  const kg_body *body;
+  kg_dynamics *dynamics;
+  kg_correct_result *result;
+  int T, nv;
+  double *D;     /* (T, nv) change                      */
+  double *trial; /* (T, nv) A^-1 W^-1 G' z              */
+  double *W;     /* (nv)                                */
+  row *rows;
+  size_t row_count, row_capacity;
+  double *entries;
+  size_t entry_count, entry_capacity;
+  kg_smoother smoother;
+  kg_vec3 *p;
+  kg_mat3 *R;
+} smoothing;
+
+/* Calls f for every column on the path of a segment; columns of the root position first. */
+static int path_columns(const kg_body *body, int segment, int columns[])
+{
+  int n = 0;
+  for (int k = 0; k < 3; k++) {
+    columns[n++] = k;
+  }
+  for (int i = segment; i >= 0; i = body->segments[i].parent) {
+    for (int k = 0; k < 3; k++) {
+      columns[n++] = 3 + 3 * i + k;
+    }
+  }
+  return n;
+}
+
+static bool grow(void **memory, size_t *capacity, size_t needed, size_t size)
+{
+  if (needed <= *capacity) {
+    return true;
+  }
+  const size_t larger = 2 * needed + 1024;
+  void *moved = realloc(*memory, larger * size);
+  if (!moved) {
+    return false;
+  }
+  *memory = moved;
+  *capacity = larger;
+  return true;
+}
+
+static bool add_row(smoothing *s, int t, int segment, kg_vec3 x, kg_sdf_value value)
+{
+  const size_t depth = (size_t)s->nv; /* at most one entry per column */
+  if (!grow((void **)&s->rows, &s->row_capacity, s->row_count + 1, sizeof *s->rows) ||
+      !grow((void **)&s->entries, &s->entry_capacity, s->entry_count + depth, sizeof *s->entries)) {
+    return false;
+  }
+  row *r = &s->rows[s->row_count++];
+  *r = (row){.frame = t, .segment = segment, .first = s->entry_count};
+  double *g = s->entries + s->entry_count;
+  const double n[3] = {value.normal.x, value.normal.y, value.normal.z};
+  int count = 0;
+  for (int k = 0; k < 3; k++) {
+    g[count++] = n[k];
+  }
+  for (int i = segment; i >= 0; i = s->body->segments[i].parent) {
+    /* n' (R e_k x (x - p)) = e_k' R' ((x - p) x n) */
+    const kg_vec3 arm =
+      kg_mat3_mul_vec_t(s->R[i], kg_vec3_cross(kg_vec3_sub(x, s->p[i]), value.normal));
+    g[count++] = arm.x;
+    g[count++] = arm.y;
+    g[count++] = arm.z;
+  }
+  s->entry_count += (size_t)count;
+  r->bound = AIM_M - value.distance;
+  return true;
+}
+
+static double row_dot(const smoothing *s, const row *r, const double *D)
+{
+  int columns[3 + 3 * 256];
+  const int n = path_columns(s->body, r->segment, columns);
+  const double *g = s->entries + r->first, *d = D + (size_t)r->frame * (size_t)s->nv;
+  double sum = 0.0;
+  for (int k = 0; k < n; k++) {
+    sum += g[k] * d[columns[k]];
+  }
+  return sum;
+}
+
+static void row_add(const smoothing *s, const row *r, double y, double *D)
+{
+  int columns[3 + 3 * 256];
+  const int n = path_columns(s->body, r->segment, columns);
+  const double *g = s->entries + r->first;
+  double *d = D + (size_t)r->frame * (size_t)s->nv;
+  for (int k = 0; k < n; k++) {
+    d[columns[k]] += y * g[k];
+  }
+}
+
+/* rows of every near point at q (+) D; bounds are for the whole change, not for its increment */
+static bool linearise(smoothing *s, bool *any_low)
+{
+  s->row_count = s->entry_count = 0;
+  *any_low = false;
+  double *q = s->result->q; /* scratch for this frame's pose: overwritten at the end anyway */
+  for (int t = 0; t < s->T; t++) {
+    double *q_t = q + (size_t)t * (size_t)s->body->nq;
+    kg_body_integrate(s->body, q_t, s->subject->q + (size_t)t * (size_t)s->body->nq,
+                      s->D + (size_t)t * (size_t)s->nv);
+    kg_dynamics_pose(s->dynamics, q_t, s->p, s->R);
+    for (int k = 0; k < s->body->point_count; k++) {
+      const kg_body_point *point = &s->body->points[k];
+      const kg_vec3 x =
+        kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
+      const kg_sdf_value value = kg_scene_distance(&s->subject->scene, x);
+      if (value.distance < NEAR_M) {
+        if (!add_row(s, t, point->segment, x, value)) {
+          return false;
+        }
+        row *r = &s->rows[s->row_count - 1];
+        r->bound += row_dot(s, r, s->D);
+        *any_low = *any_low || value.distance < 0.0;
+      }
+    }
+  }
+  return true;
+}
+
+/* out = (A kron W)^-1 G' z */
+static void apply_inverse(smoothing *s, double *out, bool extrapolated)
+{
+  memset(out, 0, (size_t)s->T * (size_t)s->nv * sizeof *out);
+  for (size_t i = 0; i < s->row_count; i++) {
+    row_add(s, &s->rows[i], extrapolated ? s->rows[i].z : s->rows[i].y, out);
+  }
+  for (int t = 0; t < s->T; t++) {
+    for (int j = 0; j < s->nv; j++) {
+      out[(size_t)t * (size_t)s->nv + (size_t)j] /= s->W[j];
+    }
+  }
+  for (int j = 0; j < s->nv; j++) {
+    kg_smoother_solve(&s->smoother, out + j, s->nv);
+  }
+}
+
+/* largest eigenvalue of the dual operator, a little above: power iteration from ones */
+static double largest_eigenvalue(smoothing *s)
+{
+  double norm = 1.0;
+  for (size_t i = 0; i < s->row_count; i++) {
+    s->rows[i].z = 1.0;
+  }
+  for (int round = 0; round < POWER_ITERATIONS; round++) {
+    apply_inverse(s, s->trial, true);
+    double sum2 = 0.0, size2 = 0.0;
+    for (size_t i = 0; i < s->row_count; i++) {
+      row *r = &s->rows[i];
+      size2 += r->z * r->z;
+      r->z = row_dot(s, r, s->trial);
+      sum2 += r->z * r->z;
+    }
+    norm = sqrt(sum2 / size2);
+    const double scale = 1.0 / sqrt(sum2);
+    for (size_t i = 0; i < s->row_count; i++) {
+      s->rows[i].z *= scale;
+    }
+  }
+  return 1.1 * norm;
+}
+
+/* [BT] (4.1)-(4.3) on the dual: y+ = max(0, z + (bound - g D(z)) / L), with restart on ascent */
+static void solve_dual(smoothing *s)
+{
+  const double step = 1.0 / largest_eigenvalue(s);
+  double momentum = 1.0;
+  for (size_t i = 0; i < s->row_count; i++) {
+    s->rows[i].y = s->rows[i].z = 0.0;
+  }
+  for (int round = 0; round < DUAL_ITERATIONS; round++) {
+    apply_inverse(s, s->trial, true);
+    const double next = 0.5 * (1.0 + sqrt(1.0 + 4.0 * momentum * momentum));
+    const double beta = (momentum - 1.0) / next;
+    double against = 0.0;
+    for (size_t i = 0; i < s->row_count; i++) {
+      row *r = &s->rows[i];
+      const double y = fmax(0.0, r->z + step * (r->bound - row_dot(s, r, s->trial)));
+      against += (r->z - y) * (y - r->y);
+      r->z = y + beta * (y - r->y);
+      r->y = y;
+    }
+    momentum = against > 0.0 ? 1.0 : next;
+  }
+  apply_inverse(s, s->D, false);
+}
+
+static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
+{
+  kg_correction *correction = NULL;
+  kg_correction_def cd = kg_correction_default_def(s->body, &s->subject->scene);
+  cd.allocator = def->allocator;
+  const kg_status status = kg_correction_create(&correction, &cd);
+  for (int t = 0; status == KG_OK && t < s->T; t++) {
+    double *q = s->result->q + (size_t)t * (size_t)s->body->nq;
+    kg_body_integrate(s->body, q, s->subject->q + (size_t)t * (size_t)s->body->nq,
+                      s->D + (size_t)t * (size_t)s->nv);
+    const kg_correction_report report = kg_correction_apply(correction, q, NULL, NULL);
+    s->result->penetration[t] = report.d_pen_after;
+    s->result->sdf_iterations += report.iterations;
+    if (def->progress && t % 64 == 0 &&
+        !def->progress(0.8 + 0.2 * t / s->T, "sdf", def->progress_user)) {
+      s->result->interrupted = true;
+      break;
+    }
+  }
+  kg_correction_destroy(correction);
+  return status;
+}
+
+static kg_status smoothing_create(smoothing *s, kg_arena *arena)
+{
+  const size_t T = (size_t)s->T, nv = (size_t)s->nv;
+  s->D = KG_ARENA_ARRAY(arena, double, T *nv);
+  s->trial = KG_ARENA_ARRAY(arena, double, T *nv);
+  s->W = KG_ARENA_ARRAY(arena, double, nv);
+  s->p = KG_ARENA_ARRAY(arena, kg_vec3, s->body->segment_count);
+  s->R = KG_ARENA_ARRAY(arena, kg_mat3, s->body->segment_count);
+  double *M = KG_ARENA_ARRAY(arena, double, nv *nv);
+  kg_smoother_create(&s->smoother, s->T, arena);
+  if (kg_arena_failed(arena)) {
+    return KG_ERR_NO_MEMORY;
+  }
+  const kg_status status = kg_dynamics_create(&s->dynamics, s->body, arena->allocator);
+  if (status == KG_OK) {
+    kg_dynamics_mass_matrix(s->dynamics, M, s->subject->q);
+    for (size_t j = 0; j < nv; j++) {
+      s->W[j] = M[j * nv + j];
+    }
+    kg_smoother_factor(&s->smoother, NULL, pow(EASE_TIME_S / s->subject->dt, 4.0));
+  }
+  return status;
+}
+
+kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
+                         const kg_correct_def *def, kg_arena *arena)
+{
+  struct timespec start, end;
+  clock_gettime(CLOCK_MONOTONIC, &start);
+  kg_arena scratch;
+  kg_arena_init(&scratch, arena->allocator);
+  smoothing s = {.subject = subject,
+                 .body = subject->body,
+                 .result = result,
+                 .T = subject->frame_count,
+                 .nv = subject->body->nv};
+  kg_status status = smoothing_create(&s, &scratch);
+  bool low = true;
+  for (int round = 0; status == KG_OK && low && round < LINEARISATIONS; round++) {
+    if (!linearise(&s, &low)) {
+      status = KG_ERR_NO_MEMORY;
+    } else if (low) {
+      solve_dual(&s);
+      if (def->progress &&
+          !def->progress(0.8 * (round + 1) / LINEARISATIONS, "sdf", def->progress_user)) {
+        result->interrupted = true;
+        break;
+      }
+    }
+  }
+  if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
+  kg_dynamics_destroy(s.dynamics);
+  free(s.rows);
+  free(s.entries);
+  kg_arena_release(&scratch);
+  clock_gettime(CLOCK_MONOTONIC, &end);
+  result->ms_sdf =
+    (1e3 * (double)(end.tv_sec - start.tv_sec) + 1e-6 * (double)(end.tv_nsec - start.tv_nsec)) /
+    result->frame_count;
+  result->ms_per_frame = result->ms_sdf;
+  return status;
+}

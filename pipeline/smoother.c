@@ -1,0 +1,54 @@
+/* Least squares over time with squared second differences: a pentadiagonal LDL' factor. */
+#include "pipeline/pipeline.h"
+
+void kg_smoother_create(kg_smoother *smoother, int count, kg_arena *arena)
+{
+  smoother->count = count;
+  smoother->D = KG_ARENA_ARRAY(arena, double, count);
+  smoother->L1 = KG_ARENA_ARRAY(arena, double, count);
+  smoother->L2 = KG_ARENA_ARRAY(arena, double, count);
+}
+
+void kg_smoother_factor(kg_smoother *smoother, const double *weight, double tau4)
+{
+  const int n = smoother->count;
+  double *D = smoother->D, *L1 = smoother->L1, *L2 = smoother->L2;
+  for (int t = 0; t < n; t++) {
+    /* second differences centred at t-1, t and t+1, where they exist, touch y_t and its neighbours:
+     * A(t,t) gets 1, 4, 1 of them, A(t,t-1) gets -2 of those centred at t-1 and t, A(t,t-2) one */
+    const int before = t >= 2, here = t >= 1 && t + 1 < n, after = t + 2 < n;
+    double diagonal = 1.0 + (weight ? weight[t] : 0.0) + tau4 * (before + 4 * here + after);
+    L1[t] = L2[t] = 0.0;
+    if (t >= 2) {
+      L2[t] = tau4 / D[t - 2];
+      diagonal -= L2[t] * L2[t] * D[t - 2];
+    }
+    if (t >= 1) {
+      const double below = -2.0 * tau4 * (before + here);
+      L1[t] = (below - (t >= 2 ? L2[t] * L1[t - 1] * D[t - 2] : 0.0)) / D[t - 1];
+      diagonal -= L1[t] * L1[t] * D[t - 1];
+    }
+    D[t] = diagonal;
+  }
+}
+
+void kg_smoother_solve(const kg_smoother *smoother, double *y, int stride)
+{
+  const int n = smoother->count;
+  const double *D = smoother->D, *L1 = smoother->L1, *L2 = smoother->L2;
+  double before = 0.0, before2 = 0.0;
+  for (int t = 0; t < n; t++) { /* L z = y */
+    const double z = y[t * stride] - L1[t] * before - L2[t] * before2;
+    y[t * stride] = z;
+    before2 = before;
+    before = z;
+  }
+  double after = 0.0, after2 = 0.0;
+  for (int t = n - 1; t >= 0; t--) { /* D L' x = z */
+    double x = y[t * stride] / D[t];
+    x -= (t + 1 < n ? L1[t + 1] * after : 0.0) + (t + 2 < n ? L2[t + 2] * after2 : 0.0);
+    y[t * stride] = x;
+    after2 = after;
+    after = x;
+  }
+}

@@ -1,0 +1,122 @@
+/* From clip to subject: mapping, floor and feet, body, scene, states. */
+#include "pipeline/pipeline.h"
+
+#include <string.h>
+
+kg_subject_def kg_subject_default_def(void)
+{
+  return (kg_subject_def){.mass_kg = 70.0, .sex = KG_SEX_MEAN};
+}
+
+static kg_status build_scene(kg_subject *subject, const kg_scene *extra, kg_error *error)
+{
+  subject->scene = kg_scene_ground(subject->floor.height, subject->floor.normal);
+  for (int i = 0; extra && i < extra->shape_count; i++) {
+    if (!kg_scene_add(&subject->scene, &extra->shapes[i])) {
+      return kg_fail(error, KG_ERR_UNSUPPORTED, NULL, 0, 0, "the scene has more than %d shapes",
+                     KG_SCENE_MAX_SHAPES);
+    }
+  }
+  return KG_OK;
+}
+
+static kg_status build_body(kg_subject *subject, const kg_clip *clip, const kg_subject_def *def,
+                            kg_error *error)
+{
+  kg_body_def body_def = kg_body_default_def();
+  body_def.mass_kg = def->mass_kg;
+  body_def.sex = def->sex;
+  body_def.has_feet = true;
+  body_def.feet[0] = subject->floor.feet[0];
+  body_def.feet[1] = subject->floor.feet[1];
+  body_def.allocator = def->allocator;
+  return kg_body_from_clip(&subject->body, clip, &subject->mapping, &body_def, error);
+}
+
+static void read_states(const kg_body *body, const kg_clip *clip, int first, int count, double *q)
+{
+  for (int t = 0; t < count; t++) {
+    double *q_t = q + (size_t)t * (size_t)body->nq;
+    kg_body_state_from_clip(body, clip, first + t, q_t, t > 0 ? q_t - body->nq : NULL);
+  }
+}
+
+static kg_status no_memory(kg_error *error)
+{
+  return kg_fail(error, KG_ERR_NO_MEMORY, NULL, 0, 0, "out of memory");
+}
+
+kg_status kg_subject_create(kg_subject **subject, const kg_clip *clip, const kg_subject_def *def,
+                            kg_error *error)
+{
+  KG_ASSERT(subject && clip && def);
+  *subject = NULL;
+  kg_arena arena;
+  kg_arena_init(&arena, def->allocator);
+  kg_subject *s = KG_ARENA_ARRAY(&arena, kg_subject, 1);
+  kg_arena *owned = KG_ARENA_ARRAY(&arena, kg_arena, 1);
+  if (kg_arena_failed(&arena)) {
+    kg_arena_release(&arena);
+    return no_memory(error);
+  }
+  s->allocator = def->allocator;
+  s->joint_count = clip->joint_count;
+  s->first_frame = clip->source.first_frame;
+  s->frame_count = clip->frame_count - s->first_frame;
+  s->dt = clip->frame_time;
+  s->floor = (kg_floor){.given = def->floor_given, .height = def->floor_height};
+
+  kg_status status = KG_OK;
+  if (s->frame_count < 1) {
+    status = kg_fail(error, KG_ERR_FORMAT, clip->source.path, 0, 0,
+                     "no motion frame beside the inserted first frame");
+  }
+  if (status == KG_OK) status = kg_mapping_find(&s->mapping, clip, def->map_path, error);
+  if (status == KG_OK && kg_floor_estimate(&s->floor, clip, &s->mapping) != KG_OK) {
+    status = no_memory(error);
+  }
+  if (status == KG_OK) status = build_scene(s, def->extra, error);
+  if (status == KG_OK) status = build_body(s, clip, def, error);
+  if (status == KG_OK) {
+    s->q = KG_ARENA_ARRAY(&arena, double, (size_t)s->frame_count *(size_t)s->body->nq);
+    if (s->q) {
+      read_states(s->body, clip, s->first_frame, s->frame_count, s->q);
+    } else {
+      status = no_memory(error);
+    }
+  }
+
+  *owned = arena;
+  s->memory = owned;
+  if (status != KG_OK) {
+    kg_subject_destroy(s);
+    return status;
+  }
+  *subject = s;
+  return KG_OK;
+}
+
+void kg_subject_destroy(kg_subject *subject)
+{
+  if (subject) {
+    kg_body_destroy(subject->body);
+    kg_arena arena = *(kg_arena *)subject->memory; /* the arena holds the subject and itself */
+    kg_arena_release(&arena);
+  }
+}
+
+kg_status kg_subject_states(const kg_subject *subject, const kg_clip *clip, double *q,
+                            kg_error *error)
+{
+  const int frames = subject->first_frame + subject->frame_count;
+  if (clip->frame_count != frames) {
+    return kg_fail(error, KG_ERR_FORMAT, clip->source.path, 0, 0,
+                   "%d frames, expected the capture's %d", clip->frame_count, frames);
+  }
+  if (clip->joint_count != subject->joint_count) {
+    return kg_fail(error, KG_ERR_FORMAT, clip->source.path, 0, 0,
+                   "%d joints, expected the capture's %d", clip->joint_count, subject->joint_count);
+  }
+  read_states(subject->body, clip, subject->first_frame, subject->frame_count, q);
+  return KG_OK;
+}
