@@ -1,7 +1,7 @@
 /* Sole nodes, shapes and surface samples of a body; sizes and their reasons in docs/theory/body.md.
  *
  * Everything is laid out in the reference posture of body.c and mirrored between left and right.
- * Radii of limbs follow from mass and length at the density of the body, r^2 = m / (pi rho L). */
+ * Radii of limbs follow from mass and length at the density of the body. */
 #include "physics/body_build.h"
 
 static const double DENSITY = 1050.0; /* kg/m^3 */
@@ -56,12 +56,17 @@ static double clamped(double value, double least, double most)
   return fmax(least, fmin(most, value));
 }
 
-/* Radius of a limb, held between shares of the stature. */
+/* Radius of a limb, held between shares of the stature: the capsule has the segment's volume,
+ * m / rho = pi r^2 L + 4/3 pi r^3, found by Newton's method from above (the left side is convex). */
 static double limb_radius(const kg_build *b, int segment, double length, double least, double most)
 {
-  const double H = b->stature;
-  const double r = length > 0.0 ? sqrt(b->segments[segment].mass / (PI * DENSITY * length)) : 0.0;
-  return clamped(r, least * H, most * H);
+  const double V = b->segments[segment].mass / DENSITY, L = length;
+  double r = most * b->stature;
+  for (int k = 0; k < 20; k++) {
+    const double excess = PI * r * r * (L + 4.0 / 3.0 * r) - V;
+    r -= excess / (PI * r * (2.0 * L + 4.0 * r));
+  }
+  return clamped(r, least * b->stature, most * b->stature);
 }
 
 /* A limb from its joint to `to`, with rings at three shares of its length. */
