@@ -35,6 +35,8 @@ kg_word kg_text_next(kg_text *text);
 kg_word kg_text_rest(kg_text *text, char stop);
 /* Moves only on KG_NUMBER_OK. A number ends at white space or at the end. */
 kg_number_kind kg_text_number(kg_text *text, double *value);
+/* A number of a motion: beyond 1e12 in size, in whatever unit, it counts as not finite. */
+kg_number_kind kg_text_value(kg_text *text, double *value);
 /* Fails at the text's position: "... but found 'WORD'". `wanted` says what should stand here. */
 kg_status kg_text_fail(const kg_text *text, kg_error *error, const char *wanted);
 kg_status kg_text_fail_number(const kg_text *text, kg_error *error, kg_number_kind kind,

@@ -176,7 +176,7 @@ static kg_status read_header(amc_reader *reader)
     } else if (kg_word_is(key, ":samples-per-second")) {
       kg_text_skip_spaces(&reader->text);
       if (kg_text_number(&reader->text, &reader->stated_rate) != KG_NUMBER_OK ||
-          !(reader->stated_rate > 0.0)) {
+          !(reader->stated_rate > 0.0 && reader->stated_rate <= 1e6)) {
         return fail(reader, "a rate above 0");
       }
     } else if (kg_word_is(key, ":bonedata") || kg_word_is(key, ":hierarchy") ||
@@ -231,7 +231,7 @@ static kg_status read_bone_line(amc_reader *reader, long frame, int *guess)
   for (int k = 0; k < bone->dof_count; k++) {
     double x;
     kg_text_skip_spaces(&reader->text);
-    const kg_number_kind kind = kg_text_number(&reader->text, &x);
+    const kg_number_kind kind = kg_text_value(&reader->text, &x);
     if (kind != KG_NUMBER_OK) {
       return kg_text_fail_number(&reader->text, reader->error, kind,
                                  "a number for each degree of freedom of the bone");

@@ -63,7 +63,7 @@ static kg_word next_word(asf_reader *reader)
 static kg_status read_number(asf_reader *reader, double *x, const char *wanted)
 {
   kg_text_skip_spaces(&reader->text);
-  const kg_number_kind kind = kg_text_number(&reader->text, x);
+  const kg_number_kind kind = kg_text_value(&reader->text, x);
   return kind == KG_NUMBER_OK ? KG_OK
                               : kg_text_fail_number(&reader->text, reader->error, kind, wanted);
 }

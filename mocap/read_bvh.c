@@ -80,7 +80,7 @@ static kg_status read_numbers(bvh_reader *reader, double *x, int count, const ch
 {
   for (int i = 0; i < count; i++) {
     kg_text_skip_spaces(&reader->text);
-    const kg_number_kind kind = kg_text_number(&reader->text, &x[i]);
+    const kg_number_kind kind = kg_text_value(&reader->text, &x[i]);
     if (kind != KG_NUMBER_OK) {
       return kg_text_fail_number(&reader->text, reader->error, kind, wanted);
     }
@@ -311,7 +311,10 @@ static kg_status read_motion_header(bvh_reader *reader)
   kg_text at = reader->text;
   double declared = 0.0;
   if (status == KG_OK) {
-    status = read_numbers(reader, &declared, 1, "the number of frames");
+    const kg_number_kind kind = kg_text_number(&reader->text, &declared);
+    status = kind == KG_NUMBER_OK
+               ? KG_OK
+               : kg_text_fail_number(&reader->text, reader->error, kind, "the number of frames");
   }
   if (status == KG_OK && (!(declared >= 1.0) || declared != floor(declared))) {
     status = kg_text_fail(&at, reader->error, "at least one frame");
@@ -324,8 +327,8 @@ static kg_status read_motion_header(bvh_reader *reader)
     reader->frame_time_text = kg_text_peek(&reader->text);
     status = read_numbers(reader, &reader->frame_time, 1, "the frame time in seconds");
   }
-  if (status == KG_OK && !(reader->frame_time > 0.0)) {
-    status = kg_text_fail(&at, reader->error, "a frame time above 0 s");
+  if (status == KG_OK && !(reader->frame_time >= 1e-6)) {
+    status = kg_text_fail(&at, reader->error, "a frame time above 0 s (at least 1e-6)");
   }
   reader->declared = declared < 1e18 ? (long)declared : LONG_MAX;
   return status;
@@ -373,7 +376,7 @@ static kg_status read_frame(bvh_reader *reader, double *values)
   int on_first_line = 0;
   for (int c = 0; c < reader->channel_count; c++) {
     kg_text_skip_blank(&reader->text);
-    const kg_number_kind kind = kg_text_number(&reader->text, &values[c]);
+    const kg_number_kind kind = kg_text_value(&reader->text, &values[c]);
     if (kind != KG_NUMBER_OK) {
       return kg_text_fail_number(&reader->text, reader->error, kind, "a number");
     }

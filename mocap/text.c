@@ -233,6 +233,17 @@ kg_number_kind kg_text_number(kg_text *text, double *value)
   return KG_NUMBER_OK;
 }
 
+kg_number_kind kg_text_value(kg_text *text, double *value)
+{
+  const kg_text before = *text;
+  const kg_number_kind kind = kg_text_number(text, value);
+  if (kind != KG_NUMBER_OK || fabs(*value) <= 1e12) {
+    return kind;
+  }
+  *text = before;
+  return KG_NUMBER_NOT_FINITE;
+}
+
 /* r with d decimal places, trailing zeros dropped */
 static size_t print_decimal(char *text, uint64_t r, int d, bool negative)
 {
@@ -335,8 +346,8 @@ kg_status kg_text_fail_number(const kg_text *text, kg_error *error, kg_number_ki
   }
   char shown[40];
   return kg_fail(error, KG_ERR_FORMAT, text->path, text->line,
-                 (long)(text->at - text->line_start) + 1,
-                 "%s is too large for a number, expected %s", shown_word(text, shown), wanted);
+                 (long)(text->at - text->line_start) + 1, "%s is too large, expected %s",
+                 shown_word(text, shown), wanted);
 }
 
 /* ---- files ----------------------------------------------------------------------------------- */

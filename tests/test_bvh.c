@@ -2,6 +2,7 @@
  * and their own output. */
 #include "mocap_support.h"
 
+#include <locale.h>
 #include <unistd.h>
 
 #include "mocap/mocap.h"
@@ -97,6 +98,30 @@ static void refuses_what_is_no_number(void **state)
   double x;
   assert_int_equal(kg_text_number(&text, &x), KG_NUMBER_NONE);
   free(digits);
+}
+
+static void the_locale_does_not_matter(void **state)
+{
+  (void)state;
+  static const char *const names[] = {"de_DE.UTF-8", "de_DE.utf8", "fr_FR.UTF-8", "de_DE", "ps_AF"};
+  size_t i = 0;
+  while (i < KG_COUNT_OF(names) && !setlocale(LC_NUMERIC, names[i]))
+    i++;
+  if (i == KG_COUNT_OF(names)) {
+    print_message("skipped: no locale with a decimal comma is installed\n");
+    skip();
+  }
+  char text[KG_NUMBER_TEXT];
+  const size_t length = kg_print_number(text, 0.1 + 0.2);
+  kg_text at = kg_text_make("0.30000000000000004440892098500626 ", 35, ""),
+          back = kg_text_make(text, length, "");
+  double x = 0.0, y = 0.0;
+  const kg_number_kind read = kg_text_number(&at, &x), again = kg_text_number(&back, &y);
+  setlocale(LC_NUMERIC, "C");
+  assert_int_equal(read, KG_NUMBER_OK);
+  assert_int_equal(again, KG_NUMBER_OK);
+  assert_true(x == 0.1 + 0.2 && y == x);
+  assert_string_equal(text, "0.30000000000000004");
 }
 
 static void printed_numbers_come_back_bit_equal(void **state)
@@ -445,6 +470,8 @@ static void bad_files_are_refused_where_they_are_bad(void **state)
     {GOOD_MOTION "1 2\n3 nan\n", 11, 3, "'nan'"},
     {GOOD_MOTION "1 2\n3 -inf\n", 11, 3, "'-inf'"},
     {GOOD_MOTION "1 2\n1e400 4\n", 11, 1, "too large"},
+    {GOOD_MOTION "1 2\n4 -1e13\n", 11, 3, "too large"},
+    {GOOD_HEAD "Frames: 2\nFrame Time: 1e-300\n", 9, 13, "above 0"},
     {GOOD_MOTION "1 2 3\n4\n", 10, 5, "more numbers"},
     {GOOD_HEAD "Frames: 3\nFrame Time: 0.01\n1 2\n3\n4 5\n6 7\n", 11, 1, "has 1 numbers"},
   };
@@ -948,6 +975,7 @@ int main(void)
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(reads_numbers_as_strtod_does),
     cmocka_unit_test(refuses_what_is_no_number),
+    cmocka_unit_test(the_locale_does_not_matter),
     cmocka_unit_test(printed_numbers_come_back_bit_equal),
     cmocka_unit_test(channels_multiply_left_to_right),
     cmocka_unit_test(position_channels_replace_the_offset),
