@@ -4,7 +4,12 @@
  *   L_coll = sum_k max(-Phi(x_k), 0)^2                                                   (10)
  *   q     <- q (+) (-eta grad L_coll), eta limited so that L_coll falls as predicted     (11)
  *
- * Second order: repeat  min 1/2 d' M(q) d  subject to  Phi_k + n_k' J_k d >= 0  and q <- q (+) d. */
+ * The gradient is taken in the metric of the mass matrix over the total mass, which for a move of the
+ * whole body is the plain one.
+ *
+ * Second order: the least move D in the mass metric of the start, min 1/2 D' M(q_0) D subject to
+ * Phi_k(q_0 (+) D) >= 0, by sequential quadratic programming. The gradient method ends with the same
+ * steps, so that both leave the body at the surface. Method and limits: docs/theory/sdf.md. */
 #ifndef KINEGRAD_CORRECTION_H
 #define KINEGRAD_CORRECTION_H
 
@@ -27,8 +32,8 @@ typedef struct kg_correction_def {
   const kg_scene *scene;
   kg_correction_method method;   /* default second order                         */
   double tolerance;              /* m, on d_pen; default 1e-5                    */
-  double eta;                    /* of Eq. 11, 1/m; default 0.1                  */
-  int max_iterations;            /* default 200                                  */
+  double eta;                    /* of Eq. 11, an upper limit; default 0.1       */
+  int max_iterations;            /* of the gradient; default 200                 */
   const kg_allocator *allocator;
 } kg_correction_def;
 
@@ -39,7 +44,7 @@ typedef struct kg_correction_report {
   double d_pen_after;      /* m                                                    */
   double displacement;     /* sqrt(d' M d) of the whole move, kg^1/2 m             */
   double lowest;           /* smallest Phi at the end, m                           */
-  int contact_count;       /* points that were pushed                              */
+  int contact_count;       /* points that touch after the push                     */
 } kg_correction_report;
 
 typedef struct kg_correction kg_correction; /* one per thread */
@@ -50,7 +55,9 @@ KG_API KG_MUST_USE kg_status kg_correction_create(kg_correction **correction,
 KG_API void kg_correction_destroy(kg_correction *correction);
 
 /* Moves q[nq] out of the scene. v[nv] (NULL allowed) loses its component into the surface at the
- * pushed points (inelastic, mass metric). moved[nv] (NULL allowed) gets q_after (-) q_before. */
+ * points that touch after the push (inelastic, mass metric). moved[nv] (NULL allowed) gets the move
+ * D, q_after = q_before (+) D. A pose within the tolerance is left bit for bit as it is. Allocates
+ * nothing. */
 KG_API kg_correction_report kg_correction_apply(kg_correction *correction, double *q, double *v,
                                                 double *moved);
 

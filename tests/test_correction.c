@@ -1,0 +1,520 @@
+/* Penetration and its correction: gradient against differences, the way out of planes, balls, boxes
+ * and meshes, the length of the move against Ceres, velocities after the push. */
+#include "mesh_support.h"
+
+#include "fixture_body.h"
+
+#include "kinegrad/ceres.h"
+#include "kinegrad/correction.h"
+#include "kinegrad/dense.h"
+
+static soup the_soup;
+
+/* Scenes of one obstacle; the mesh outlives them. */
+enum { SCENES = 5 };
+static const char *const scene_names[SCENES] = {"ground", "slope", "ball", "box", "spiky mesh"};
+
+static kg_scene make_scene(int k, const kg_mesh *mesh)
+{
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  if (k == 0) return scene;
+  if (k == 1) return kg_scene_ground(0.0, kg_vec3_make(0.3, 1.0, -0.2));
+  kg_shape shape = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.6, 0.05}, .radius = 0.6};
+  if (k == 3) {
+    shape = (kg_shape){.kind = KG_SHAPE_BOX,
+                       .a = {0.1, -0.5, 0.0},
+                       .b = {0.9, 0.5, 0.7},
+                       .orientation = kg_quat_exp(kg_vec3_make(0.1, 0.2, -0.1))};
+  }
+  if (k == 4) {
+    shape = (kg_shape){.kind = KG_SHAPE_MESH, .mesh = mesh};
+  }
+  scene.shape_count = 0;
+  assert_true(kg_scene_add(&scene, &shape));
+  return scene;
+}
+
+/* hills with edges, 3 x 3 m, closed below */
+static kg_mesh *hills(void)
+{
+  soup *s = &the_soup;
+  s->vertex_count = s->triangle_count = 0;
+  add_icosphere(s, 3);
+  kg_random random = kg_random_make(40);
+  for (int i = 0; i < s->vertex_count; i++) {
+    const kg_vec3 p = s->vertices[i];
+    s->vertices[i] =
+      kg_vec3_make(1.6 * p.x, 0.9 * p.y - 0.9 + 0.02 * kg_random_normal(&random), 1.6 * p.z);
+  }
+  return build_mesh(s, NULL);
+}
+
+/* The human above the origin, joints bent at random, its lowest point `depth` deep in the scene. */
+static void sunk_pose(kg_random *random, const kg_body *body, kg_correction *probe, double bend,
+                      double depth, double *q)
+{
+  memset(q, 0, (size_t)body->nq * sizeof *q);
+  q[1] = 3.0;
+  for (int i = 0; i < body->segment_count; i++) {
+    const kg_quat r = kg_quat_exp(random_vec3(random, bend));
+    const double quat[4] = {r.w, r.x, r.y, r.z};
+    memcpy(q + 3 + 4 * i, quat, sizeof quat);
+  }
+  double low = 0.0, high = 3.0; /* of the root's height */
+  for (int i = 0; i < 50; i++) {
+    q[1] = 0.5 * (low + high);
+    if (kg_penetration(probe, q, NULL, NULL) > depth) {
+      low = q[1];
+    } else {
+      high = q[1];
+    }
+  }
+}
+
+static kg_correction *make(const kg_body *body, const kg_scene *scene, kg_correction_method method)
+{
+  kg_correction_def def = kg_correction_default_def(body, scene);
+  def.method = method;
+  kg_correction *correction;
+  assert_int_equal(kg_correction_create(&correction, &def), KG_OK);
+  return correction;
+}
+
+static double mass_norm(const kg_body *body, const double *q, const double *d)
+{
+  kg_dynamics *dynamics;
+  assert_int_equal(kg_dynamics_create(&dynamics, body, NULL), KG_OK);
+  static double M[MAX_NV * MAX_NV];
+  kg_dynamics_mass_matrix(dynamics, M, q);
+  kg_dynamics_destroy(dynamics);
+  double sum = 0.0;
+  for (int i = 0; i < body->nv; i++) {
+    for (int j = 0; j < body->nv; j++) {
+      sum += d[i] * M[i * body->nv + j] * d[j];
+    }
+  }
+  return sqrt(sum);
+}
+
+/* d_pen and L_coll from their definitions (9), (10), through other calls than the library's */
+static void measured(const kg_body *body, const kg_scene *scene, const double *q, double *d_pen,
+                     double *L_coll, double *lowest)
+{
+  kg_dynamics *dynamics;
+  assert_int_equal(kg_dynamics_create(&dynamics, body, NULL), KG_OK);
+  *d_pen = *L_coll = 0.0;
+  *lowest = INFINITY;
+  for (int k = 0; k < body->point_count; k++) {
+    const kg_vec3 x = kg_dynamics_point(dynamics, NULL, q, body->points[k]);
+    const double phi = kg_scene_distance(scene, x).distance;
+    *d_pen = fmax(*d_pen, -phi);
+    *L_coll += pow(fmax(-phi, 0.0), 2.0);
+    *lowest = fmin(*lowest, phi);
+  }
+  kg_dynamics_destroy(dynamics);
+}
+
+static void gradient_matches_differences(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_mesh *mesh = hills();
+  kg_random random = kg_random_make(41);
+  for (int k = 0; k < SCENES; k++) {
+    const kg_scene scene = make_scene(k, mesh);
+    kg_correction *c = make(body, &scene, KG_CORRECTION_SECOND_ORDER);
+    double q[MAX_NQ], moved[MAX_NQ], gradient[MAX_NV], d[MAX_NV] = {0.0};
+    int checked = 0;
+    for (int pose = 0; pose < 4; pose++) {
+      sunk_pose(&random, body, c, 0.4, 0.1, q);
+      double L, d_pen, L_by_definition, lowest;
+      const double depth = kg_penetration(c, q, &L, gradient);
+      measured(body, &scene, q, &d_pen, &L_by_definition, &lowest);
+      assert_close(depth, d_pen, 1e-14);
+      assert_close(L, L_by_definition, 1e-14);
+      for (int i = 0; i < body->nv; i++) {
+        const double h = 1e-4;
+        double value[4];
+        for (int s = 0; s < 4; s++) {
+          const double steps[4] = {-2.0 * h, -h, h, 2.0 * h};
+          d[i] = steps[s];
+          kg_body_integrate(body, moved, q, d);
+          (void)kg_penetration(c, moved, &value[s], NULL);
+        }
+        d[i] = 0.0;
+        const double slope = richardson(value[0], value[1], value[2], value[3], h);
+        /* L_coll is C1: a point that enters within the stencil bends it by h^2 only; a face that
+         * changes in a mesh, or the medial axis of a box, makes a kink, which is left out */
+        const bool kink = fabs((value[2] - value[1]) / (2.0 * h) - slope) > 1e-5;
+        if (k >= 3 && kink) continue;
+        assert_close(gradient[i], slope, k >= 3 ? 2e-5 : 1e-6);
+        checked++;
+      }
+    }
+    assert_true(checked > 3 * body->nv);
+    kg_correction_destroy(c);
+  }
+  kg_mesh_destroy(mesh);
+  kg_body_destroy(body);
+}
+
+static void check_result(const kg_body *body, const kg_scene *scene,
+                         const kg_correction_report *report, const double *before,
+                         const double *after, const double *moved)
+{
+  double d_pen, L, lowest, again[MAX_NQ];
+  measured(body, scene, after, &d_pen, &L, &lowest);
+  assert_true(report->converged);
+  assert_at_most(d_pen, 1e-5);
+  assert_at_most(lowest, 1e-4);
+  assert_close(report->d_pen_after, d_pen, 1e-13);
+  assert_close(report->lowest, lowest, 1e-13);
+  measured(body, scene, before, &d_pen, &L, &lowest);
+  assert_close(report->d_pen_before, d_pen, 1e-13);
+  kg_body_integrate(body, again, before, moved);
+  for (int i = 0; i < body->nq; i++) {
+    assert_close(fabs(again[i]), fabs(after[i]), 1e-12);
+  }
+  assert_close(report->displacement, mass_norm(body, before, moved), 1e-12);
+}
+
+static void every_pose_comes_out_and_stays_at_the_surface(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_mesh *mesh = hills();
+  const double depths[] = {2e-5, 1e-3, 0.01, 0.05, 0.2, 0.6};
+  for (int method = 0; method < 2; method++) {
+    for (int k = 0; k < SCENES; k++) {
+      const kg_scene scene = make_scene(k, mesh);
+      kg_correction *c = make(body, &scene, (kg_correction_method)method);
+      kg_random random = kg_random_make(42);
+      int most = 0, sum = 0, count = 0;
+      for (size_t depth = 0; depth < KG_COUNT_OF(depths); depth++) {
+        for (int pose = 0; pose < 8; pose++, count++) {
+          double before[MAX_NQ], after[MAX_NQ], moved[MAX_NV];
+          sunk_pose(&random, body, c, pose < 4 ? 0.1 : 0.5, depths[depth], before);
+          memcpy(after, before, sizeof after);
+          const kg_correction_report report = kg_correction_apply(c, after, NULL, moved);
+          check_result(body, &scene, &report, before, after, moved);
+          sum += report.iterations;
+          most = report.iterations > most ? report.iterations : most;
+        }
+      }
+      print_message("  %s, %s: %.1f iterations a pose, %d at most\n",
+                    method == 0 ? "gradient" : "second order", scene_names[k], (double)sum / count,
+                    most);
+      kg_correction_destroy(c);
+    }
+  }
+  kg_mesh_destroy(mesh);
+  kg_body_destroy(body);
+}
+
+/* ---- Ceres: augmented Lagrangian for  min 1/2 D'M D,  Phi_k(q0 (+) D) >= 0 -----------------------*/
+
+typedef struct reference {
+  const kg_body *body;
+  const kg_scene *scene;
+  kg_dynamics *dynamics;
+  const double *q0;
+  double factor[MAX_NV * MAX_NV]; /* lower, of M */
+  double rho, lambda[256], phi[256];
+} reference;
+
+static bool reference_residual(double *r, const double *D, void *user)
+{
+  reference *ref = user;
+  const int nv = ref->body->nv;
+  for (int j = 0; j < nv; j++) { /* L' D */
+    r[j] = 0.0;
+    for (int i = j; i < nv; i++) {
+      r[j] += ref->factor[i * nv + j] * D[i];
+    }
+  }
+  double q[MAX_NQ];
+  kg_vec3 p[MAX_NV];
+  kg_mat3 R[MAX_NV];
+  kg_body_integrate(ref->body, q, ref->q0, D);
+  kg_dynamics_pose(ref->dynamics, q, p, R);
+  for (int k = 0; k < ref->body->point_count; k++) {
+    const kg_body_point *point = &ref->body->points[k];
+    const kg_vec3 x = kg_vec3_add(p[point->segment], kg_mat3_mul_vec(R[point->segment], point->p));
+    ref->phi[k] = kg_scene_distance(ref->scene, x).distance;
+    r[nv + k] = sqrt(ref->rho) * fmax(0.0, ref->lambda[k] / ref->rho - ref->phi[k]);
+  }
+  return true;
+}
+
+/* length of the least move Ceres finds from D, and its depth left */
+static double reference_move(reference *ref, double *D, double *depth)
+{
+  const int nv = ref->body->nv, K = ref->body->point_count;
+  double r[MAX_NV + 256];
+  kg_dynamics_mass_matrix(ref->dynamics, ref->factor, ref->q0);
+  assert_true(kg_dense_cholesky_factor(ref->factor, nv));
+  memset(ref->lambda, 0, sizeof ref->lambda);
+  ref->rho = 1e4;
+  for (int outer = 0; outer < 15; outer++) {
+    kg_ceres_def def = kg_ceres_default_def(nv, nv + K);
+    def.residual = reference_residual;
+    def.user = ref;
+    def.max_iterations = 60;
+    def.function_tolerance = 1e-12;
+    kg_ceres_report report;
+    assert_int_equal(kg_ceres_minimize(&def, D, &report), KG_OK);
+    (void)reference_residual(r, D, ref);
+    *depth = 0.0;
+    for (int k = 0; k < K; k++) {
+      ref->lambda[k] = fmax(0.0, ref->lambda[k] - ref->rho * ref->phi[k]);
+      *depth = fmax(*depth, -ref->phi[k]);
+    }
+    if (*depth < 1e-7) break;
+    ref->rho = fmin(2.0 * ref->rho, 1e6);
+  }
+  return mass_norm(ref->body, ref->q0, D);
+}
+
+/* Ceres started from our answer must not find a shorter or longer one: we stand at a constrained
+ * minimum. A shallow pose has one such minimum only, and there Ceres started like us, from no move,
+ * must agree as well (from deep poses it ends at minima further away). */
+static void move_is_as_short_as_the_one_ceres_finds(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_mesh *mesh = hills();
+  static reference ref;
+  const double depths[] = {0.005, 0.03, 0.1};
+  assert_int_equal(kg_dynamics_create(&ref.dynamics, body, NULL), KG_OK);
+  ref.body = body;
+  for (int k = 0; k < SCENES; k++) {
+    const kg_scene scene = make_scene(k, mesh);
+    ref.scene = &scene;
+    kg_random random = kg_random_make(43);
+    for (int pose = 0; pose < 3; pose++) {
+      double before[MAX_NQ], after[MAX_NQ], moved[MAX_NV], depth;
+      for (int method = 0; method < 2; method++) {
+        kg_correction *c = make(body, &scene, (kg_correction_method)method);
+        if (method == 0) sunk_pose(&random, body, c, 0.2, depths[pose], before);
+        memcpy(after, before, sizeof after);
+        const kg_correction_report report = kg_correction_apply(c, after, NULL, moved);
+        kg_correction_destroy(c);
+        ref.q0 = before;
+        double zero[MAX_NV] = {0.0};
+        double *start = pose == 0 ? zero : moved;
+        const double shortest = reference_move(&ref, start, &depth);
+        print_message("  %s, %s, %g m deep: %.4f of Ceres' move, %d iterations\n", scene_names[k],
+                      method == 0 ? "gradient" : "second order", depths[pose],
+                      report.displacement / shortest, report.iterations);
+        assert_at_most(depth, 1e-5);
+        assert_at_most(report.displacement, 1.05 * shortest);
+        assert_at_most(shortest, 1.05 * report.displacement);
+      }
+    }
+  }
+  kg_dynamics_destroy(ref.dynamics);
+  kg_mesh_destroy(mesh);
+  kg_body_destroy(body);
+}
+
+/* ---- closed forms --------------------------------------------------------------------------------*/
+
+static void flat_box_rises_by_its_depth_and_stops(void **state)
+{
+  (void)state;
+  kg_body *body = box_body(5.0, kg_vec3_make(0.2, 0.1, 0.3));
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  for (int method = 0; method < 2; method++) {
+    kg_correction *c = make(body, &scene, (kg_correction_method)method);
+    double q[7] = {0.4, 0.07, -0.2, 1.0, 0.0, 0.0, 0.0};
+    double v[6] = {1.0, -2.0, 0.5, 0.0, 0.3, 0.0}, moved[6];
+    const kg_correction_report report = kg_correction_apply(c, q, v, moved);
+    assert_close(q[1], 0.1, 1.1e-5);
+    assert_close(moved[1], q[1] - 0.07, 1e-14);
+    assert_close(report.displacement, sqrt(5.0) * moved[1], 1e-10);
+    assert_int_equal(report.contact_count, 4);
+    /* the fall stops, sliding and spinning about the normal go on */
+    const double expected[6] = {1.0, 0.0, 0.5, 0.0, 0.3, 0.0};
+    for (int i = 0; i < 6; i++) {
+      assert_close(v[i], expected[i], 1e-9);
+    }
+    v[1] = 3.0; /* a box on its way up is not held back */
+    q[1] = 0.07;
+    (void)kg_correction_apply(c, q, v, NULL);
+    assert_close(v[1], 3.0, 1e-14);
+    kg_correction_destroy(c);
+  }
+  kg_body_destroy(body);
+}
+
+static void velocities_lose_only_what_they_must(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_mesh *mesh = hills();
+  kg_random random = kg_random_make(44);
+  for (int k = 0; k < SCENES; k++) {
+    const kg_scene scene = make_scene(k, mesh);
+    kg_correction *c = make(body, &scene, KG_CORRECTION_SECOND_ORDER);
+    kg_dynamics *dynamics;
+    assert_int_equal(kg_dynamics_create(&dynamics, body, NULL), KG_OK);
+    for (int pose = 0; pose < 6; pose++) {
+      double before[MAX_NQ], q[MAX_NQ], v[MAX_NV], old[MAX_NV], J[3 * MAX_NV];
+      sunk_pose(&random, body, c, 0.2, 0.05, before);
+      for (int i = 0; i < body->nv; i++) {
+        old[i] = v[i] = kg_random_normal(&random);
+      }
+      v[1] = old[1] = -2.0;
+      memcpy(q, before, sizeof q);
+      const kg_correction_report report = kg_correction_apply(c, q, v, NULL);
+      assert_true(report.contact_count > 0);
+      int touching = 0;
+      for (int p = 0; p < body->point_count; p++) {
+        const kg_vec3 x = kg_dynamics_point(dynamics, J, q, body->points[p]);
+        const kg_sdf_value phi = kg_scene_distance(&scene, x);
+        if (phi.distance > 1e-5) continue;
+        const double n[3] = {phi.normal.x, phi.normal.y, phi.normal.z};
+        double rate = 0.0;
+        for (int i = 0; i < body->nv; i++) {
+          rate += (n[0] * J[i] + n[1] * J[body->nv + i] + n[2] * J[2 * body->nv + i]) * v[i];
+        }
+        assert_at_most(-rate, 1e-8);
+        touching++;
+      }
+      assert_true(touching > 0 && report.contact_count >= touching);
+      /* a projection in the mass metric: the lost part is orthogonal to what is left */
+      double lost[MAX_NV], kept = mass_norm(body, q, v), all = mass_norm(body, q, old);
+      for (int i = 0; i < body->nv; i++) {
+        lost[i] = old[i] - v[i];
+      }
+      const double gone = mass_norm(body, q, lost);
+      assert_true(gone > 0.0);
+      assert_close(kept * kept + gone * gone, all * all, 1e-8);
+    }
+    kg_dynamics_destroy(dynamics);
+    kg_correction_destroy(c);
+  }
+  kg_mesh_destroy(mesh);
+  kg_body_destroy(body);
+}
+
+static void a_pose_outside_is_not_touched(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  kg_correction *c = make(body, &scene, KG_CORRECTION_SECOND_ORDER);
+  kg_random random = kg_random_make(45);
+  const double depths[] = {0.0, 0.9e-5};
+  for (size_t k = 0; k < KG_COUNT_OF(depths); k++) {
+    double q[MAX_NQ] = {0.0}, before[MAX_NQ], v[MAX_NV], old[MAX_NV], moved[MAX_NV];
+    sunk_pose(&random, body, c, 0.2, depths[k], q);
+    for (int i = 0; i < body->nv; i++) {
+      old[i] = v[i] = kg_random_normal(&random);
+    }
+    memcpy(before, q, sizeof q);
+    const kg_correction_report report = kg_correction_apply(c, q, v, moved);
+    assert_true(report.converged);
+    assert_int_equal(report.iterations, 0);
+    assert_int_equal(report.contact_count, 0);
+    assert_true(report.displacement == 0.0);
+    assert_memory_equal(q, before, (size_t)body->nq * sizeof *q);
+    assert_memory_equal(v, old, (size_t)body->nv * sizeof *v);
+    for (int i = 0; i < body->nv; i++) {
+      assert_true(moved[i] == 0.0);
+    }
+  }
+  double q[MAX_NQ], before[MAX_NQ];
+  sunk_pose(&random, body, c, 0.2, 0.1, q);
+  q[5] = NAN;
+  memcpy(before, q, sizeof q);
+  assert_false(kg_correction_apply(c, q, NULL, NULL).converged);
+  assert_memory_equal(q, before, (size_t)body->nq * sizeof *q);
+  kg_correction_destroy(c);
+  kg_body_destroy(body);
+}
+
+/* Where the linearised distances mislead: a ball inside the trunk, a thin wall through the body. */
+static void starts_without_a_way_downhill_come_out_too(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_scene scenes[2] = {{0}, {0}};
+  const kg_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.3, 0.0}, .radius = 0.6};
+  const kg_shape wall = {.kind = KG_SHAPE_BOX,
+                         .a = {0.0, 1.0, 0.0},
+                         .b = {5.0, 5.0, 0.06},
+                         .orientation = {1.0, 0.0, 0.0, 0.0}};
+  assert_true(kg_scene_add(&scenes[0], &ball));
+  assert_true(kg_scene_add(&scenes[1], &wall));
+  for (int k = 0; k < 2; k++) {
+    for (int method = 0; method < 2; method++) {
+      kg_correction *c = make(body, &scenes[k], (kg_correction_method)method);
+      kg_random random = kg_random_make(46);
+      for (int pose = 0; pose < 8; pose++) {
+        double before[MAX_NQ] = {0.0}, after[MAX_NQ], moved[MAX_NV];
+        before[1] = human_root_height;
+        for (int i = 0; i < body->segment_count; i++) {
+          const kg_quat r = kg_quat_exp(random_vec3(&random, pose == 0 ? 0.0 : 0.2));
+          const double quat[4] = {r.w, r.x, r.y, r.z};
+          memcpy(before + 3 + 4 * i, quat, sizeof quat);
+        }
+        memcpy(after, before, sizeof after);
+        const kg_correction_report report = kg_correction_apply(c, after, NULL, moved);
+        check_result(body, &scenes[k], &report, before, after, moved);
+        print_message("  %s %d: %d iterations, moved by %.2f m of the whole body\n",
+                      k == 0 ? "ball" : "wall", pose, report.iterations,
+                      report.displacement / sqrt(body->mass));
+      }
+      kg_correction_destroy(c);
+    }
+  }
+  kg_body_destroy(body);
+}
+
+static void nothing_is_allocated_after_create_or_left_behind(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  int allowed = 0;
+  for (bool done = false; !done; allowed++) {
+    failing_heap heap = {.calls_left = allowed};
+    const kg_allocator allocator = {failing_alloc, failing_free, &heap};
+    kg_correction_def def = kg_correction_default_def(body, &scene);
+    def.allocator = &allocator;
+    kg_correction *c;
+    const kg_status status = kg_correction_create(&c, &def);
+    done = status == KG_OK;
+    assert_true(done ? c != NULL : c == NULL && status == KG_ERR_NO_MEMORY);
+    if (done) {
+      const size_t live = heap.live_bytes;
+      double q[MAX_NQ] = {0.0, 0.9}, v[MAX_NV] = {0.0, -1.0};
+      for (int i = 0; i < body->segment_count; i++) {
+        q[3 + 4 * i] = 1.0;
+      }
+      assert_int_equal(heap.calls_left, 0); /* any allocation from here on would be refused */
+      assert_true(kg_correction_apply(c, q, v, NULL).converged);
+      assert_int_equal(heap.live_bytes, live);
+    }
+    kg_correction_destroy(c);
+    assert_int_equal(heap.live_bytes, 0);
+  }
+  assert_true(allowed > 3);
+  kg_body_destroy(body);
+}
+
+int main(void)
+{
+  const struct CMUnitTest tests[] = {
+    cmocka_unit_test(gradient_matches_differences),
+    cmocka_unit_test(every_pose_comes_out_and_stays_at_the_surface),
+    cmocka_unit_test(move_is_as_short_as_the_one_ceres_finds),
+    cmocka_unit_test(flat_box_rises_by_its_depth_and_stops),
+    cmocka_unit_test(velocities_lose_only_what_they_must),
+    cmocka_unit_test(a_pose_outside_is_not_touched),
+    cmocka_unit_test(starts_without_a_way_downhill_come_out_too),
+    cmocka_unit_test(nothing_is_allocated_after_create_or_left_behind),
+  };
+  return cmocka_run_group_tests_name("correction", tests, NULL, NULL);
+}
