@@ -7,7 +7,7 @@
 #include "kinegrad/metrics.h"
 
 enum {
-  KG_PROBE_PER_SEGMENT = 3, /* lowest samples of a segment that may carry force, sole nodes apart */
+  KG_PROBE_PER_SEGMENT = 8, /* lowest samples of a segment that may carry force, sole nodes apart */
   KG_PROBE_CARRIERS = 64,   /* in all */
   KG_PROBE_NODES = 2 * KG_SOLE_NODE_COUNT,
   KG_FRICTION_EDGES = 8
