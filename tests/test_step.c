@@ -120,6 +120,541 @@ static void jacobian_matches_differences(void **state)
   kg_body_destroy(body);
 }
 
+/* ---- the answer against other solvers ---------------------------------------------------------*/
+
+typedef struct square_system {
+  kg_step *s;
+  const double *q, *v, *tau;
+  double dt;
+  double row[MAX_NV]; /* of the residual, to make rows comparable */
+  int nv;
+} square_system;
+
+static bool ceres_residual(double *r, const double *x, void *user)
+{
+  square_system *c = user;
+  kg_step_residual(c->s, r, NULL, x, c->q, c->v, c->tau, c->dt, NULL);
+  for (int k = 0; k < c->nv; k++) {
+    r[k] *= c->row[k];
+  }
+  return true;
+}
+
+static bool ceres_jacobian(double *J, const double *x, void *user)
+{
+  square_system *c = user;
+  double G[MAX_NV];
+  kg_step_residual(c->s, G, J, x, c->q, c->v, c->tau, c->dt, NULL);
+  for (int k = 0; k < c->nv * c->nv; k++) {
+    J[k] *= c->row[k / c->nv];
+  }
+  return true;
+}
+
+static void scale_rows(square_system *c, const kg_body *body)
+{
+  static double M[MAX_NV * MAX_NV];
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  kg_dynamics_mass_matrix(d, M, c->q);
+  for (int k = 0; k < c->nv; k++) {
+    c->row[k] = c->dt / sqrt(M[k * c->nv + k]);
+  }
+  kg_dynamics_destroy(d);
+}
+
+/* Largest difference of two velocities, in kg^1/2 m/s. */
+static double velocity_difference(const square_system *c, const double *a, const double *b)
+{
+  double worst = 0.0;
+  for (int k = 0; k < c->nv; k++) {
+    worst = fmax(worst, fabs(a[k] - b[k]) * c->dt / c->row[k]);
+  }
+  return worst;
+}
+
+/* Newton with dense LAPACK factors, undamped, from nearby. */
+static void polish_with_lapack(square_system *c, double *x)
+{
+  static double J[MAX_NV * MAX_NV];
+  double G[MAX_NV];
+  int pivots[MAX_NV];
+  for (int k = 0; k < 6; k++) {
+    kg_step_residual(c->s, G, J, x, c->q, c->v, c->tau, c->dt, NULL);
+    assert_true(kg_dense_lu_factor(J, pivots, c->nv));
+    kg_dense_lu_solve(J, pivots, c->nv, G, 1);
+    for (int r = 0; r < c->nv; r++) {
+      x[r] -= G[r];
+    }
+  }
+}
+
+static void step_agrees_with_ceres_and_lapack(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(32);
+  kg_body *body = human_body();
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.joint_damping = 5.0;
+  kg_step *s = step_of(&def);
+  double worst[2] = {0.0, 0.0};
+  for (int trial = 0; trial < 8; trial++) {
+    double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV], x[MAX_NV];
+    human_state(&random, body, trial % 4, q, v);
+    for (int k = 0; k < body->nv; k++) {
+      tau[k] = k < 6 ? 0.0 : 5.0 * kg_random_normal(&random);
+    }
+    kg_step_report report;
+    kg_step_advance(s, q_next, v_next, q, v, tau, 0.01, false, &report);
+    assert_true(report.converged && report.substeps == 1);
+    assert_at_most(report.residual, 1e-8);
+    square_system c = {.s = s, .q = q, .v = v, .tau = tau, .dt = 0.01, .nv = body->nv};
+    scale_rows(&c, body);
+    memcpy(x, v_next, sizeof x);
+    polish_with_lapack(&c, x);
+    worst[0] = fmax(worst[0], velocity_difference(&c, x, v_next));
+    /* Ceres starts away from our answer, where contact still has a say */
+    for (int k = 0; k < body->nv; k++) {
+      x[k] = v_next[k] + 1e-3 * kg_random_normal(&random);
+    }
+    kg_ceres_def ceres = kg_ceres_default_def(body->nv, body->nv);
+    ceres.residual = ceres_residual;
+    ceres.jacobian = ceres_jacobian;
+    ceres.user = &c;
+    ceres.max_iterations = 500;
+    kg_ceres_report answer;
+    assert_int_equal(kg_ceres_minimize(&ceres, x, &answer), KG_OK);
+    assert_at_most(sqrt(2.0 * answer.cost), 1e-8);
+    worst[1] = fmax(worst[1], velocity_difference(&c, x, v_next));
+  }
+  print_message("v' against LAPACK Newton %.1e, against Ceres %.1e kg^1/2 m/s\n", worst[0],
+                worst[1]);
+  assert_at_most(worst[0], 1e-8);
+  assert_at_most(worst[1], 1e-8);
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
+/* ---- convergence ------------------------------------------------------------------------------*/
+
+/* Lowest point of the body moved to a height. */
+static void put_on_ground(kg_dynamics *d, const kg_body *body, double height, double *q)
+{
+  double low = INFINITY;
+  for (int k = 0; k < body->point_count; k++) {
+    low = fmin(low, kg_dynamics_point(d, NULL, q, body->points[k]).y);
+  }
+  q[1] += height - low;
+}
+
+/* kind: 0 standing shaken, 1 landing at 1 to 3 m/s, 2 sliding at 2 m/s, 3 lying, 4 too deep */
+static void contact_state(kg_random *random, kg_dynamics *d, const kg_body *body, int kind,
+                          double *q, double *v)
+{
+  double turn[MAX_NV];
+  rest_state(body, kind == 3 ? 0.092 : human_root_height + (kind == 4 ? -0.010 : 0.003), q);
+  for (int k = 0; k < body->nv; k++) {
+    const bool loose = (kind == 1 || kind == 2) && k >= 3;
+    turn[k] = (loose ? 0.1 : 0.003) * kg_random_normal(random);
+    v[k] = 0.2 * kg_random_normal(random);
+  }
+  turn[1] = 0.0;
+  turn[3] += kind == 3 ? -1.5707963 : 0.0;
+  kg_body_integrate(body, q, q, turn);
+  if (kind == 1 || kind == 2) {
+    put_on_ground(d, body, 0.006 * kg_random_uniform(random), q);
+  }
+  v[1] = kind == 1 ? -1.0 - 2.0 * kg_random_uniform(random) : v[1];
+  v[0] += kind == 2 ? 2.0 : 0.0;
+}
+
+static void newton_converges_on_random_contact_states(void **state)
+{
+  (void)state;
+  static const char *const names[5] = {"standing", "landing", "sliding", "lying", "deep"};
+  kg_random random = kg_random_make(33);
+  kg_body *body = human_body();
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.joint_damping = 2.0;
+  kg_step *s = step_of(&def);
+  for (int kind = 0; kind < 5; kind++) {
+    int iterations = 0, most = 0, divided = 0;
+    const int count = 80;
+    for (int trial = 0; trial < count; trial++) {
+      double q[MAX_NQ], v[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV];
+      contact_state(&random, d, body, kind, q, v);
+      const double dt = trial % 2 == 0 ? 1.0 / 120.0 : 1.0 / 60.0;
+      kg_step_report report;
+      kg_step_advance(s, q_next, v_next, q, v, NULL, dt, false, &report);
+      assert_true(report.converged);
+      assert_at_most(report.residual, def.tolerance);
+      iterations += report.iterations;
+      most = report.iterations > most ? report.iterations : most;
+      divided += report.substeps > 1;
+    }
+    print_message("%-9s %d steps: all converged, %d in sub-steps, iterations mean %.1f max %d\n",
+                  names[kind], count, divided, (double)iterations / count, most);
+  }
+  kg_step_destroy(s);
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
+/* Without sub-steps the hardest step fails and says so; with them it is solved and says how. */
+static void failure_is_reported_and_divided(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(34);
+  kg_body *body = human_body();
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *divided = step_of(&def);
+  def.max_substep_levels = 0;
+  kg_step *whole = step_of(&def);
+  int failures = 0, solved = 0;
+  for (int trial = 0; trial < 20; trial++) {
+    double q[MAX_NQ], v[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV];
+    contact_state(&random, d, body, 1, q, v);
+    kg_step_report a, b;
+    kg_step_advance(whole, q_next, v_next, q, v, NULL, 0.04, false, &a);
+    assert_int_equal(a.substeps, 1);
+    assert_true(a.converged == (a.residual <= def.tolerance));
+    kg_step_advance(divided, q_next, v_next, q, v, NULL, 0.04, false, &b);
+    assert_true(b.converged == (b.residual <= def.tolerance));
+    assert_true((b.substeps > 1) == !a.converged);
+    for (int k = 0; k < body->nv; k++) {
+      assert_true(isfinite(v_next[k]));
+    }
+    failures += !a.converged;
+    solved += b.converged;
+  }
+  assert_true(failures > 0);
+  print_message("0.04 s landings: %d of 20 fail whole, %d of 20 solved with sub-steps\n", failures,
+                solved);
+  assert_true(solved >= 18);
+  kg_step_destroy(whole);
+  kg_step_destroy(divided);
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
+static void same_input_gives_the_same_bits(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(35);
+  kg_body *body = human_body();
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *a = step_of(&def), *b = step_of(&def);
+  for (int kind = 0; kind < 4; kind++) {
+    double q[MAX_NQ], v[MAX_NV], q1[MAX_NQ], v1[MAX_NV], q2[MAX_NQ], v2[MAX_NV], other[MAX_NV];
+    human_state(&random, body, kind, q, v);
+    kg_step_advance(a, q1, v1, q, v, NULL, 0.01, false, NULL);
+    for (int k = 0; k < body->nv; k++) { /* leave something else in the work memory of b */
+      other[k] = v[k] + 1.0;
+    }
+    kg_step_advance(b, q2, v2, q, other, NULL, 0.002, false, NULL);
+    kg_step_advance(b, q2, v2, q, v, NULL, 0.01, false, NULL);
+    assert_memory_equal(q1, q2, (size_t)body->nq * sizeof *q1);
+    assert_memory_equal(v1, v2, (size_t)body->nv * sizeof *v1);
+    /* in place, and from the answer as the guess */
+    kg_step_report report;
+    kg_step_advance(b, q2, v2, q, v, NULL, 0.01, true, &report);
+    assert_int_equal(report.iterations, 0);
+    kg_step_advance(b, q, v, q, v, NULL, 0.01, false, NULL);
+    assert_memory_equal(q1, q, (size_t)body->nq * sizeof *q1);
+    assert_memory_equal(v1, v, (size_t)body->nv * sizeof *v1);
+  }
+  kg_step_destroy(a);
+  kg_step_destroy(b);
+  kg_body_destroy(body);
+}
+
+/* ---- physics ----------------------------------------------------------------------------------*/
+
+typedef struct flight_error {
+  double linear, angular, energy;
+} flight_error;
+
+/* One second of free flight: change of momentum against gravity's impulse, and of energy. */
+static flight_error fly(const kg_body *body, const double *q0, const double *v0, int steps)
+{
+  kg_step_def def = kg_step_default_def(body);
+  kg_step *s = step_of(&def);
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  double q[MAX_NQ], v[MAX_NV];
+  memcpy(q, q0, sizeof q);
+  memcpy(v, v0, sizeof v);
+  const kg_centroid before = kg_dynamics_centroid(d, q, v);
+  const double energy = kg_dynamics_energy(d, q, v);
+  for (int k = 0; k < steps; k++) {
+    kg_step_report report;
+    kg_step_advance(s, q, v, q, v, NULL, 1.0 / steps, false, &report);
+    assert_true(report.converged && report.substeps == 1);
+  }
+  const kg_centroid after = kg_dynamics_centroid(d, q, v);
+  kg_vec3 gained = kg_vec3_sub(after.com_dot, before.com_dot);
+  gained.y += 9.8;
+  const flight_error error = {body->mass * kg_vec3_norm(gained),
+                              kg_vec3_norm(kg_vec3_sub(after.L, before.L)),
+                              fabs(kg_dynamics_energy(d, q, v) - energy)};
+  kg_step_destroy(s);
+  kg_dynamics_destroy(d);
+  return error;
+}
+
+static void flight_keeps_momentum_to_first_order(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(36);
+  kg_body *body = human_body();
+  double q[MAX_NQ] = {0.0}, v[MAX_NV] = {0.0};
+  rest_state(body, 2.0, q);
+  for (int k = 0; k < body->nv; k++) {
+    v[k] = (k < 6 ? 1.0 : 0.3) * kg_random_normal(&random);
+  }
+  flight_error last = {0.0, 0.0, 0.0};
+  for (int steps = 400; steps <= 1600; steps *= 2) {
+    const flight_error e = fly(body, q, v, steps);
+    print_message(
+      "flight, %4d steps of 1 s: linear %.2e kg m/s, angular %.2e kg m^2/s, energy %.2e J", steps,
+      e.linear, e.angular, e.energy);
+    if (steps > 400) {
+      const double order[3] = {log2(last.linear / e.linear), log2(last.angular / e.angular),
+                               log2(last.energy / e.energy)};
+      print_message(", orders %.3f %.3f %.3f", order[0], order[1], order[2]);
+      assert_at_most(fabs(order[0] - 1.0), 0.1);
+      assert_at_most(fabs(order[1] - 1.0), 0.1);
+      assert_at_most(fabs(order[2] - 1.0), 0.15);
+    }
+    print_message("\n");
+    last = e;
+  }
+  kg_body_destroy(body);
+  /* one rigid body whose origin is its centre of mass: nothing but gravity moves it */
+  kg_body *box = box_body(3.0, kg_vec3_make(0.1, 0.2, 0.3));
+  rest_state(box, 1.0, q);
+  for (int k = 0; k < 6; k++) {
+    v[k] = 2.0 * kg_random_normal(&random);
+  }
+  assert_at_most(fly(box, q, v, 100).linear, 1e-10);
+  kg_body_destroy(box);
+}
+
+/* Sum of the contact forces of a report. */
+static kg_vec3 total_force(const kg_step_report *report)
+{
+  kg_vec3 sum = {0.0, 0.0, 0.0};
+  for (int k = 0; k < report->contact_count; k++) {
+    sum = kg_vec3_add(sum, report->contacts[k].force.f);
+  }
+  return sum;
+}
+
+static void box_stands_still(void **state)
+{
+  (void)state;
+  kg_body *body = box_body(70.0, kg_vec3_make(0.15, 0.3, 0.1));
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  double q[7], v[6] = {0.0};
+  rest_state(body, 0.303, q);
+  kg_step_report report;
+  for (int k = 0; k < 120; k++) { /* falls into place */
+    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
+    assert_true(report.converged);
+  }
+  const kg_vec3 start = kg_vec3_make(q[0], q[1], q[2]);
+  for (int k = 0; k < 600; k++) {
+    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
+    assert_true(report.converged);
+    assert_at_most(fabs(total_force(&report).y / (70.0 * 9.8) - 1.0), 1e-6);
+  }
+  assert_int_equal(report.contact_count, 4);
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(kg_vec3_make(q[0], q[1], q[2]), start)), 1e-6);
+  for (int k = 0; k < 4; k++) { /* weight is carried outside the surface */
+    assert_true(report.contacts[k].force.distance > 0.0);
+  }
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
+/* Joints held by springs from outside the step (explicit) and damping inside it (implicit). */
+static void human_stands_still(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.joint_damping = 50.0;
+  kg_step *s = step_of(&def);
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  double q[MAX_NQ], v[MAX_NV] = {0.0}, tau[MAX_NV], rest[MAX_NQ], e[MAX_NV];
+  rest_state(body, human_root_height + 0.003, q);
+  rest_state(body, human_root_height + 0.003, rest);
+  kg_vec3 start = {0.0, 0.0, 0.0}, foot = {0.0, 0.0, 0.0};
+  const kg_body_point heel = body->points[0];
+  kg_step_report report;
+  double worst_weight = 0.0, worst_drift = 0.0, worst_slip = 0.0;
+  int iterations = 0;
+  for (int k = 0; k < 120 * 8; k++) {
+    kg_body_difference(body, e, rest, q);
+    for (int i = 0; i < body->nv; i++) {
+      tau[i] = i < 6 ? 0.0 : 1500.0 * e[i];
+    }
+    /* the soft sole lets the body sway; the ankles push against it */
+    const double sway = kg_dynamics_centroid(d, q, v).com_dot.z;
+    tau[3 + 3 * HUMAN_LEFT_ANKLE] += 200.0 * sway;
+    tau[3 + 3 * HUMAN_RIGHT_ANKLE] += 200.0 * sway;
+    kg_step_advance(s, q, v, q, v, tau, 1.0 / 120.0, false, &report);
+    assert_true(report.converged);
+    iterations += report.iterations;
+    const kg_vec3 com = kg_dynamics_centroid(d, q, NULL).com;
+    const kg_vec3 at = kg_dynamics_point(d, NULL, q, heel);
+    if (k == 120 * 3) { /* the springs have found their length */
+      start = com;
+      foot = at;
+    } else if (k > 120 * 3) {
+      worst_weight = fmax(worst_weight, fabs(total_force(&report).y / (body->mass * 9.8) - 1.0));
+      worst_drift = fmax(worst_drift, kg_vec3_norm(kg_vec3_sub(com, start)));
+      worst_slip = fmax(worst_slip, kg_vec3_norm(kg_vec3_sub(at, foot)));
+    }
+  }
+  print_message("human standing 5 s: weight to %.1e, centre of mass %.2e m, heel %.2e m, %.2f "
+                "iterations a step\n",
+                worst_weight, worst_drift, worst_slip, iterations / 960.0);
+  assert_at_most(worst_weight, 1e-6);
+  assert_at_most(worst_drift, 1e-3);
+  assert_at_most(worst_slip, 1e-3);
+  kg_dynamics_destroy(d);
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
+static void sliding_block_decelerates_by_mu_g(void **state)
+{
+  (void)state;
+  kg_body *body = box_body(10.0, kg_vec3_make(0.2, 0.03, 0.2));
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.contact.friction = 0.5;
+  kg_step *s = step_of(&def);
+  double q[7], v[6] = {0.0};
+  rest_state(body, 0.033, q);
+  for (int k = 0; k < 240; k++) {
+    v[0] = v[2] = 0.0;
+    kg_step_advance(s, q, v, q, v, NULL, 0.005, false, NULL);
+  }
+  v[0] = 3.0;
+  v[2] = 4.0;
+  double speed[81];
+  for (int k = 0; k <= 80; k++) {
+    kg_step_report report;
+    speed[k] = hypot(v[0], v[2]);
+    kg_step_advance(s, q, v, q, v, NULL, 0.005, false, &report);
+    assert_true(report.converged);
+  }
+  const double slowing = (speed[40] - speed[80]) / (40 * 0.005);
+  print_message("sliding block: %.6f m/s^2, mu g = %.6f\n", slowing, 0.5 * 9.8);
+  assert_at_most(fabs(slowing / (0.5 * 9.8) - 1.0), 1e-3);
+  assert_close(v[2] / v[0], 4.0 / 3.0, 1e-3); /* straight on */
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
+static void block_sticks_on_a_slope(void **state)
+{
+  (void)state;
+  kg_body *body = box_body(10.0, kg_vec3_make(0.2, 0.03, 0.2));
+  kg_step_def def = kg_step_default_def(body);
+  const double angle = atan(0.8 * def.contact.friction);
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(-sin(angle), cos(angle), 0.0));
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  double q[7], v[6] = {0.0}, turn[6] = {0.0};
+  rest_state(body, 0.0, q);
+  turn[0] = -0.034 * sin(angle);
+  turn[1] = 0.034 * cos(angle);
+  turn[5] = angle;
+  kg_body_integrate(body, q, q, turn);
+  kg_step_report report;
+  for (int k = 0; k < 120; k++) {
+    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
+    assert_true(report.converged);
+  }
+  const kg_vec3 start = kg_vec3_make(q[0], q[1], q[2]);
+  for (int k = 0; k < 600; k++) {
+    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
+    assert_true(report.converged);
+  }
+  const double drift = kg_vec3_norm(kg_vec3_sub(kg_vec3_make(q[0], q[1], q[2]), start));
+  /* 2 s - s^2 = 0.8 */
+  const double expected = 5.0 * def.contact.stick * (1.0 - sqrt(0.2));
+  print_message("slope at 80 %% of the cone, 5 s: drift %.3e m, the law says %.3e\n", drift,
+                expected);
+  assert_at_most(drift, 1e-3);
+  assert_at_most(fabs(drift - expected), 0.02 * expected);
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
+/* ---- memory -----------------------------------------------------------------------------------*/
+
+static void survives_every_allocation_failure_and_then_allocates_nothing(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(37);
+  kg_body *body = human_body();
+  kg_scene scene = ground();
+  bool done = false;
+  int refused = 0;
+  for (; !done; refused++) {
+    failing_heap heap = {.calls_left = refused};
+    const kg_allocator allocator = {failing_alloc, failing_free, &heap};
+    kg_step_def def = kg_step_default_def(body);
+    def.scene = &scene;
+    def.allocator = &allocator;
+    kg_step *s = (kg_step *)(void *)&heap;
+    const kg_status status = kg_step_create(&s, &def);
+    done = status == KG_OK;
+    assert_true(done || (status == KG_ERR_NO_MEMORY && s == NULL));
+    if (done) {
+      double q[MAX_NQ], v[MAX_NV], q2[MAX_NQ], v2[MAX_NV];
+      static double J[MAX_NV * MAX_NV];
+      const size_t bytes = heap.live_bytes;
+      heap.calls_left = 0;
+      for (int kind = 0; kind < 4; kind++) {
+        human_state(&random, body, kind, q, v);
+        kg_step_advance(s, q2, v2, q, v, NULL, 0.03, false, NULL);
+        kg_step_residual(s, v2, J, v, q, v, NULL, 0.01, NULL);
+      }
+      assert_int_equal(heap.calls_left, 0); /* not even asked */
+      assert_int_equal(heap.live_bytes, bytes);
+    }
+    kg_step_destroy(s);
+    assert_int_equal(heap.live_bytes, 0);
+  }
+  assert_true(refused > 4);
+  kg_step_destroy(NULL);
+  kg_body_destroy(body);
+}
+
 static double seconds(void)
 {
   struct timespec t;
@@ -176,6 +711,16 @@ int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(jacobian_matches_differences),
+    cmocka_unit_test(step_agrees_with_ceres_and_lapack),
+    cmocka_unit_test(newton_converges_on_random_contact_states),
+    cmocka_unit_test(failure_is_reported_and_divided),
+    cmocka_unit_test(same_input_gives_the_same_bits),
+    cmocka_unit_test(flight_keeps_momentum_to_first_order),
+    cmocka_unit_test(box_stands_still),
+    cmocka_unit_test(human_stands_still),
+    cmocka_unit_test(sliding_block_decelerates_by_mu_g),
+    cmocka_unit_test(block_sticks_on_a_slope),
+    cmocka_unit_test(survives_every_allocation_failure_and_then_allocates_nothing),
     cmocka_unit_test(timings),
   };
   return cmocka_run_group_tests_name("step", tests, NULL, NULL);
