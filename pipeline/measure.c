@@ -31,6 +31,9 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
   m->A = KG_ARENA_ARRAY(arena, double, 6 * columns);
   m->x = KG_ARENA_ARRAY(arena, double, columns);
   m->nnls_work = KG_ARENA_ARRAY(arena, double, kg_nnls_work_size(6, columns));
+  m->reach = kg_measure_balance_reach(m->dt);
+  m->window = KG_ARENA_ARRAY(arena, kg_probe, 2 * m->reach + 1);
+  m->stamp = KG_ARENA_ARRAY(arena, long, body->point_count);
   if (kg_arena_failed(arena) ||
       kg_dynamics_create(&m->dynamics, body, subject->allocator) != KG_OK) {
     return false;
@@ -108,7 +111,7 @@ void kg_measure_probe(kg_measure *m, const double *q, kg_probe *probe)
       near = kg_scene_distance(scene, center).distance - m->bounds[segment].radius <=
              KG_METRIC_BALANCE_HEIGHT_M;
     }
-    kg_probe_point at = {.segment = segment, .distance = INFINITY};
+    kg_probe_point at = {.segment = segment, .point = k, .distance = INFINITY};
     if (near) {
       at.x = kg_vec3_add(m->p[segment], kg_mat3_mul_vec(m->R[segment], point->p));
       const kg_sdf_value phi = kg_scene_distance(scene, at.x);

@@ -15,7 +15,7 @@ enum {
 
 /* A point of the body near the scene's surface. */
 typedef struct kg_probe_point {
-  int segment;
+  int segment, point;
   kg_vec3 x, normal;
   double distance; /* Phi; INFINITY when the point is farther than the probe looks */
 } kg_probe_point;
@@ -55,6 +55,9 @@ typedef struct kg_measure {
   double *spectrum; /* (2 * fft_size)                      */
   int fft_size;
   double *A, *x, *nnls_work;
+  int reach;        /* frames the smoothing looks to either side */
+  kg_probe *window; /* (2 reach + 1)                             */
+  long *stamp;      /* (points) last frame a point was taken     */
 } kg_measure;
 
 /* False when memory is refused; release in any case. */
@@ -68,6 +71,9 @@ kg_motion_metrics kg_measure_motion(kg_measure *measure, const double *q, kg_vec
 
 /* The pose against the scene; fills probe, leaves the pose in measure->p and R. */
 void kg_measure_probe(kg_measure *measure, const double *q, kg_probe *probe);
+
+/* Frames to either side whose contacts the smoothed forces of a frame contain. */
+int kg_measure_balance_reach(double dt);
 
 /* momentum_balance and force_balance of a motion whose com and L are in measure (both are smoothed
  * in place). */

@@ -5,6 +5,7 @@
 
 #include "kinegrad/dynamics.h"
 #include "kinegrad/metrics.h"
+#include "kinegrad/step.h"
 
 /* ---- non-negative least squares -------------------------------------------------------------- */
 
@@ -587,6 +588,47 @@ static void identical_motions_differ_by_nothing(void **state)
   release(&s, m);
 }
 
+/* A limp body dropped on the ground by the implicit step: every force on it is gravity or contact,
+ * so the fit must find next to nothing left, landing included. */
+static void a_simulated_fall_is_balanced(void **state)
+{
+  (void)state;
+  int T;
+  kg_clip *clip;
+  scene s = walker_scene(&T, &clip);
+  kg_step_def def = kg_step_default_def(s.body);
+  def.scene = &s.subject.scene;
+  def.joint_damping = 5.0;
+  kg_step *step;
+  assert_int_equal(kg_step_create(&step, &def), KG_OK);
+  const int frames = 150, nq = s.body->nq;
+  double *q = calloc((size_t)(frames * nq), sizeof(double));
+  double v[75] = {0}, next[75] = {0};
+  const double tau[75] = {0};
+  assert_true(q && s.body->nv <= 75);
+  memcpy(q, s.q, (size_t)nq * sizeof(double));
+  q[1] += 0.3;
+  for (int t = 1; t < frames; t++) {
+    kg_step_report report;
+    kg_step_advance(step, q + t * nq, next, q + (t - 1) * nq, v, tau, s.subject.dt, true, &report);
+    assert_true(report.converged);
+    memcpy(v, next, sizeof v);
+  }
+  s.subject.frame_count = frames;
+  s.subject.q = q;
+  free(s.out);
+  s.out = q;
+  kg_metrics *m = metrics_of(&s);
+  print_message("simulated fall: %.2f N m, %.2f N left\n", m->output.momentum_balance,
+                m->output.force_balance);
+  assert_at_most(m->output.momentum_balance, 1.0);
+  assert_at_most(m->output.force_balance, 4.0);
+  assert_at_most(m->output.penetration_max_m, 1e-5);
+  kg_step_destroy(step);
+  kg_clip_destroy(clip);
+  release(&s, m);
+}
+
 static void refused_memory_leaves_nothing_behind(void **state)
 {
   (void)state;
@@ -637,6 +679,7 @@ int main(void)
     cmocka_unit_test(short_clips_are_measured_too),
     cmocka_unit_test(penetration_is_the_deepest_of_all_points),
     cmocka_unit_test(identical_motions_differ_by_nothing),
+    cmocka_unit_test(a_simulated_fall_is_balanced),
     cmocka_unit_test(refused_memory_leaves_nothing_behind),
   };
   return cmocka_run_group_tests_name("metrics", tests, NULL, NULL);
