@@ -39,6 +39,10 @@ static kg_sdf_value shape_distance(const kg_shape *shape, kg_vec3 x)
 
 kg_sdf_value kg_scene_distance(const kg_scene *scene, kg_vec3 x)
 {
+  /* one plane is the usual scene, and it is asked for hundreds of points every frame */
+  if (scene->shape_count == 1 && scene->shapes[0].kind == KG_SHAPE_PLANE) {
+    return kg_sdf_plane(scene->shapes[0].a, scene->shapes[0].b, x);
+  }
   kg_sdf_value best = {INFINITY, {0.0, 1.0, 0.0}, {0.0}}; /* an empty scene is infinitely far */
   for (int i = 0; i < scene->shape_count; i++) {
     const kg_sdf_value value = shape_distance(&scene->shapes[i], x);

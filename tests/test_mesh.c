@@ -2,6 +2,8 @@
  * of broken meshes. */
 #include "mesh_support.h"
 
+#include <stdio.h>
+
 static soup the_soup; /* large: not on the stack */
 
 static soup *fresh_soup(void)
@@ -402,6 +404,78 @@ static void height_field_is_the_distance_to_its_cells(void **state)
   assert_null(field);
 }
 
+/* ---- files ---------------------------------------------------------------------------------------*/
+
+static void every_format_gives_the_same_cube(void **state)
+{
+  (void)state;
+  const char *names[] = {"cube.obj", "relative.obj",  "cube.off",
+                         "cube.ply", "cube_text.stl", "cube_binary.stl"};
+  for (size_t i = 0; i < KG_COUNT_OF(names); i++) {
+    char path[1024];
+    snprintf(path, sizeof path, KG_TEST_DATA "/sdf/%s", names[i]);
+    kg_mesh *mesh;
+    kg_mesh_report report;
+    kg_error error = {0};
+    assert_int_equal(kg_mesh_read(&mesh, path, 0.01, &report, NULL, &error), KG_OK);
+    assert_int_equal(report.vertices, 8);
+    assert_int_equal(report.triangles, 12);
+    assert_true(report.closed);
+    assert_close(report.volume, 1e-6, 1e-15);
+    assert_string_equal(report.text, "");
+    /* 0.01 m cube at the origin */
+    assert_close(kg_mesh_distance(mesh, kg_vec3_make(0.013, 0.014, 0.005)).distance, 0.005, 1e-14);
+    assert_close(kg_mesh_distance(mesh, kg_vec3_make(0.002, 0.005, 0.005)).distance, -0.002, 1e-14);
+    kg_mesh_destroy(mesh);
+  }
+}
+
+/* No damage passes silently: each file is refused, with its name and a word on what is wrong. */
+static void damaged_files_are_refused_and_named(void **state)
+{
+  (void)state;
+  const struct {
+    const char *name;
+    kg_status status;
+    const char *word;
+  } cases[] = {
+    {"bad_index.obj", KG_ERR_FORMAT, "vertex 70 of 8"},
+    {"zero_index.obj", KG_ERR_FORMAT, "vertex 0 of 8"},
+    {"relative_far.obj", KG_ERR_FORMAT, "of 8 vertices"},
+    {"nan_vertex.obj", KG_ERR_FORMAT, "of 8 vertices 7"},
+    {"text_vertex.obj", KG_ERR_FORMAT, "of 8 vertices 7"},
+    {"no_faces.obj", KG_ERR_FORMAT, "no faces"},
+    {"cut_short.obj", KG_ERR_FORMAT, "of 6 faces 5"},
+    {"empty.obj", KG_ERR_READ, "empty"},
+    {"bad_index.off", KG_ERR_FORMAT, "of 8 vertices"},
+    {"negative_index.off", KG_ERR_FORMAT, "of 8 vertices"},
+    {"cut_short.off", KG_ERR_FORMAT, "too early"},
+    {"huge_counts.off", KG_ERR_FORMAT, "too early"},
+    {"huge_polygon.off", KG_ERR_FORMAT, "corners"},
+    {"bad_index.ply", KG_ERR_FORMAT, "of 8 vertices"},
+    {"cut_short.ply", KG_ERR_FORMAT, "of 6 faces 5"},
+    {"huge_counts.ply", KG_ERR_FORMAT, "ply"},
+    {"huge_polygon.ply", KG_ERR_FORMAT, "of 6 faces 5"},
+    {"no_header.ply", KG_ERR_FORMAT, "ply"},
+    {"cut_short_text.stl", KG_ERR_FORMAT, "endsolid"},
+    {"cut_short_binary.stl", KG_ERR_FORMAT, "STL"},
+    {"there_is_no.obj", KG_ERR_READ, "read"},
+    {"cube.txt", KG_ERR_FORMAT, "none of obj"},
+    {"cube", KG_ERR_FORMAT, "none of obj"},
+  };
+  for (size_t i = 0; i < KG_COUNT_OF(cases); i++) {
+    char path[1024];
+    snprintf(path, sizeof path, KG_TEST_DATA "/sdf/%s", cases[i].name);
+    kg_mesh *mesh = (kg_mesh *)path;
+    kg_error error = {0};
+    assert_int_equal(kg_mesh_read(&mesh, path, 1.0, NULL, NULL, &error), cases[i].status);
+    assert_null(mesh);
+    assert_int_equal(error.status, cases[i].status);
+    assert_non_null(strstr(error.path, cases[i].name));
+    if (!strstr(error.text, cases[i].word)) fail_msg("%s: %s", cases[i].name, error.text);
+  }
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -417,6 +491,8 @@ int main(void)
     cmocka_unit_test(bad_input_is_refused),
     cmocka_unit_test(refused_memory_leaves_nothing_behind),
     cmocka_unit_test(awkward_triangles_are_all_found),
+    cmocka_unit_test(every_format_gives_the_same_cube),
+    cmocka_unit_test(damaged_files_are_refused_and_named),
     cmocka_unit_test(height_field_is_the_distance_to_its_cells),
   };
   return cmocka_run_group_tests_name("mesh", tests, NULL, NULL);
