@@ -223,10 +223,11 @@ static void choose_up(kg_clip *clip, const kg_clip_def *def, const body_joints *
   const double stature = stature_in_units(clip, body);
   if (along(mean, in_motion) > 0.8 && fabs(lowest[in_motion]) < 0.25 * stature) {
     source->up = in_motion;
-    return;
   }
-  kg_clip_warn(clip, NULL, "%s: rest pose and motion disagree on the up axis; %c is taken",
-               source->path, "YZX"[source->up]);
+  if (source->up != KG_UP_Y || in_rest == KG_UP_Y) { /* y is the custom: nothing to say */
+    kg_clip_warn(clip, NULL, "%s: rest pose and motion disagree on the up axis; %c is taken",
+                 source->path, "YZX"[source->up]);
+  }
 }
 
 static kg_quat rotation_to_y_up(kg_up_axis up)

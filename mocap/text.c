@@ -163,72 +163,84 @@ static double slow_number(const char *start, size_t length)
   return strtod(buffer, NULL);
 }
 
-/* [+-] digits [. digits] [e [+-] digits], or KG_NUMBER_NONE; at least one digit before or after
- * the point. */
-kg_number_kind kg_text_number(kg_text *text, double *value)
+/* A decimal number as it is scanned: w 10^power, when exact. */
+typedef struct decimal {
+  uint64_t w;
+  int digits, power; /* digits: in w, without leading zeros */
+  bool any, exact;
+} decimal;
+
+/* digits before (step 0) or after the point (step 1) */
+static const char *scan_digits(decimal *number, const char *p, const char *end, int step)
 {
-  const char *p = text->at, *const end = text->end;
-  const bool negative = p < end && *p == '-';
+  for (; p < end && is_digit(*p); p++) {
+    number->any = true;
+    if (number->digits < 19 && number->power > -400) {
+      number->w = 10 * number->w + (uint64_t)(*p - '0');
+      number->digits += number->w > 0;
+      number->power -= step;
+    } else {
+      number->exact = false;
+    }
+  }
+  return p;
+}
+
+/* after the 'e'; NULL when there is no digit */
+static const char *scan_exponent(decimal *number, const char *p, const char *end)
+{
+  const bool down = p < end && *p == '-';
+  int exponent = 0;
   if (p < end && (*p == '-' || *p == '+')) {
     p++;
   }
-  uint64_t w = 0;
-  int digits = 0, places = 0,
-      found = 0; /* digits in w, of them after the point; any digit at all */
-  bool exact = true;
-  for (; p < end && is_digit(*p); p++, found = 1) {
-    if (digits < 19) {
-      w = 10 * w + (uint64_t)(*p - '0');
-      digits += w > 0;
-    } else {
-      exact = false;
-    }
+  if (p == end || !is_digit(*p)) {
+    return NULL;
   }
-  if (p < end && *p == '.') {
-    for (p++; p < end && is_digit(*p); p++, found = 1) {
-      if (digits < 19 && places < 400) {
-        w = 10 * w + (uint64_t)(*p - '0');
-        digits += w > 0;
-        places++;
-      } else {
-        exact = false;
-      }
-    }
+  for (; p < end && is_digit(*p); p++) {
+    exponent = exponent < 100000 ? 10 * exponent + (*p - '0') : exponent;
   }
-  if (!found) {
-    return KG_NUMBER_NONE;
-  }
-  int exponent = 0;
-  if (p < end && (*p == 'e' || *p == 'E')) {
+  number->power += down ? -exponent : exponent;
+  return p;
+}
+
+/* [+-] digits [. digits] [e [+-] digits], at least one digit before or after the point; the end of
+ * the number, or NULL */
+static const char *scan_number(decimal *number, const char *p, const char *end)
+{
+  if (p < end && (*p == '-' || *p == '+')) {
     p++;
-    const bool down = p < end && *p == '-';
-    if (p < end && (*p == '-' || *p == '+')) {
-      p++;
-    }
-    if (p == end || !is_digit(*p)) {
-      return KG_NUMBER_NONE;
-    }
-    for (; p < end && is_digit(*p); p++) {
-      exponent = exponent < 100000 ? 10 * exponent + (*p - '0') : exponent;
-    }
-    exponent = down ? -exponent : exponent;
   }
-  const size_t length = (size_t)(p - text->at);
-  if ((p < end && !is_space(*p) && !is_line_end(*p)) || length > LONGEST_NUMBER) {
+  p = scan_digits(number, p, end, 0);
+  if (p < end && *p == '.') {
+    p = scan_digits(number, p + 1, end, 1);
+  }
+  if (number->any && p < end && (*p == 'e' || *p == 'E')) {
+    p = scan_exponent(number, p + 1, end);
+  }
+  const bool ends = p && (p == end || is_space(*p) || is_line_end(*p));
+  return number->any && ends ? p : NULL;
+}
+
+kg_number_kind kg_text_number(kg_text *text, double *value)
+{
+  decimal number = {.exact = true};
+  const char *end = scan_number(&number, text->at, text->end);
+  if (!end || end - text->at > LONGEST_NUMBER) {
     return KG_NUMBER_NONE;
   }
-  const int power = exponent - places;
   double x;
-  if (exact && w <= (UINT64_C(1) << 53) && power >= -22 && power <= 22) {
-    x = power < 0 ? (double)w / powers_of_ten[-power] : (double)w * powers_of_ten[power];
-    x = negative ? -x : x;
+  if (number.exact && number.w <= (UINT64_C(1) << 53) && number.power >= -22 &&
+      number.power <= 22) {
+    const double w = *text->at == '-' ? -(double)number.w : (double)number.w;
+    x = number.power < 0 ? w / powers_of_ten[-number.power] : w * powers_of_ten[number.power];
   } else {
-    x = slow_number(text->at, length);
+    x = slow_number(text->at, (size_t)(end - text->at));
   }
   if (!isfinite(x)) {
     return KG_NUMBER_NOT_FINITE;
   }
-  text->at = p;
+  text->at = end;
   *value = x;
   return KG_NUMBER_OK;
 }

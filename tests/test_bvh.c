@@ -59,6 +59,10 @@ static void reads_numbers_as_strtod_does(void **state)
   for (size_t i = 0; i < KG_COUNT_OF(special); i++) {
     assert_number_is_strtod(special[i]);
   }
+  char zeros[460] = "0."; /* beyond any count of places: 0.0...01e402 is 1 */
+  memset(zeros + 2, '0', 401);
+  strcpy(zeros + 403, "1e402");
+  assert_number_is_strtod(zeros);
   kg_random random = kg_random_make(11);
   for (int i = 0; i < 200000; i++) {
     char string[80];
@@ -492,6 +496,26 @@ static void bad_files_are_refused_where_they_are_bad(void **state)
   }
 }
 
+static void line_numbers_count_every_kind_of_line_end(void **state)
+{
+  (void)state;
+  static const char *const ends[] = {"\n", "\r\n", "\r"};
+  for (size_t i = 0; i < KG_COUNT_OF(ends); i++) {
+    text_buffer text = {0};
+    for (const char *p = GOOD_MOTION "1 2\n\n3 x\n"; *p != '\0'; p++) {
+      text_add(&text, *p == '\n' ? "%s" : "%.1s", *p == '\n' ? ends[i] : p);
+    }
+    const kg_clip_def def = kg_clip_default_def();
+    kg_clip *clip;
+    kg_error error;
+    assert_int_equal(kg_clip_read_bvh_text(&clip, text.at, text.length, "a", &def, &error),
+                     KG_ERR_FORMAT);
+    assert_int_equal(error.line, 12);
+    assert_int_equal(error.column, 3);
+    text_free(&text);
+  }
+}
+
 static void nesting_without_end_is_refused(void **state)
 {
   (void)state;
@@ -732,6 +756,10 @@ static void setting_what_is_there_changes_no_value(void **state)
     }
   }
   assert_memory_equal(before, clip->values, sizeof before);
+  /* unless the frame before has gone a whole turn further */
+  clip->values[6] += 360.0;
+  kg_clip_set_rotation(clip, 1, 1, clip->rotations[3], 0);
+  assert_close(clip->values[9 + 6], before[9 + 6] + 360.0, 1e-8);
   kg_clip_destroy(clip);
 }
 
@@ -865,6 +893,39 @@ static void finds_unit_and_up_axis(void **state)
   kg_clip_destroy(reference);
 }
 
+/* The rest pose is y up, and the root stands or lies at `root` with a quarter turn about x. */
+static kg_clip *turned_person(double x, double y, double z)
+{
+  text_buffer text = {0};
+  add_hierarchy(&text, person, PERSON_JOINTS, 1.0, KG_UP_Y);
+  text_add(&text, "MOTION\nFrames: 5\nFrame Time: 0.01\n");
+  for (int t = 0; t < 5; t++) {
+    text_add(&text, "%g %g %g 0 90 0", x, y, z);
+    for (int c = 3; c < 3 * PERSON_JOINTS; c++)
+      text_add(&text, " 0");
+    text_add(&text, "\n");
+  }
+  kg_clip *clip = clip_of(text.at, text.length);
+  text_free(&text);
+  return clip;
+}
+
+static void tells_z_up_from_lying_on_the_floor(void **state)
+{
+  (void)state;
+  kg_clip *standing = turned_person(2.0, 3.0, 0.9), *lying = turned_person(2.0, 0.1, 4.0);
+  assert_int_equal(standing->source.up, KG_UP_Z);
+  assert_int_equal(lying->source.up, KG_UP_Y);
+  assert_non_null(strstr(standing->source.warnings[0], "disagree on the up axis; Z is taken"));
+  assert_non_null(strstr(lying->source.warnings[0], "disagree on the up axis; Y is taken"));
+  kg_vec3 p[PERSON_JOINTS];
+  kg_clip_world(standing, 2, p, NULL);
+  assert_close(p[0].y, 0.9, 1e-12);
+  assert_close(p[5].y, 0.9 + 0.59, 1e-12); /* the head above */
+  kg_clip_destroy(standing);
+  kg_clip_destroy(lying);
+}
+
 static void odd_statures_are_read_with_a_warning(void **state)
 {
   (void)state;
@@ -984,6 +1045,7 @@ int main(void)
     cmocka_unit_test(memory_follows_the_data_and_not_the_header),
     cmocka_unit_test(partial_and_surplus_frames_are_left_out_with_a_warning),
     cmocka_unit_test(bad_files_are_refused_where_they_are_bad),
+    cmocka_unit_test(line_numbers_count_every_kind_of_line_end),
     cmocka_unit_test(nesting_without_end_is_refused),
     cmocka_unit_test(files_that_cannot_be_opened_say_so),
     cmocka_unit_test(unchanged_files_come_back_as_they_were),
@@ -995,6 +1057,7 @@ int main(void)
     cmocka_unit_test(resampling_follows_constant_motion_exactly),
     cmocka_unit_test(survives_every_allocation_failure),
     cmocka_unit_test(finds_unit_and_up_axis),
+    cmocka_unit_test(tells_z_up_from_lying_on_the_floor),
     cmocka_unit_test(odd_statures_are_read_with_a_warning),
     cmocka_unit_test(finds_an_inserted_pose_only_where_there_is_one),
     cmocka_unit_test(reads_and_returns_the_shared_captures),
