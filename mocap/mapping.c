@@ -106,10 +106,6 @@ static void make_plain(plain_name plain, const char *name)
   }
   plain[n] = '\0';
   drop_prefix(plain);
-  n = strlen(plain);
-  if (n >= 7 && strcmp(plain + n - 7, "rigmesh") == 0) {
-    plain[0] = '\0'; /* SNU: helper joints of the mesh, no part of the body */
-  }
 }
 
 /* side: "", "left" or "right"; that word or its first letter may stand before or after the name */

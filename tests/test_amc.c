@@ -336,6 +336,19 @@ static void variants_of_the_format_mean_the_same(void **state)
     assert_close(clip->values[c], plain->values[c], 1e-8);
   }
   kg_clip_destroy(clip);
+  /* radians in both, said only by the skeleton */
+  text_buffer both = {0};
+  char *asf_radians = replaced(small_asf, "angle deg", "angle rad");
+  text_add(&both, "%s", strchr(radians.at + 1, ':')); /* without ":RADIANS" */
+  kg_clip_def def = kg_clip_default_def();
+  def.unit_m = 0.0254 / 0.45;
+  assert_int_equal(kg_clip_read_amc_text(&clip, asf_radians, strlen(asf_radians), "s", both.at,
+                                         both.length, "m", &def, NULL),
+                   KG_OK);
+  assert_at_most(largest_difference(clip, asf_radians, both.at, true), 1e-9);
+  kg_clip_destroy(clip);
+  free(asf_radians);
+  text_free(&both);
   text_free(&radians);
   kg_clip_destroy(plain);
   free(asf);

@@ -3,6 +3,8 @@
 #include "mocap_support.h"
 
 #include <locale.h>
+#include <signal.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include "mocap/mocap.h"
@@ -263,7 +265,34 @@ static void position_channels_replace_the_offset(void **state)
   assert_close(p[2].y, 11.0 - 1.5, 1e-14); /* a quarter turn about x */
   assert_close(p[2].z, 18.0 + 1.0, 1e-14);
   assert_true(clip->source.unit_given);
+  /* only what has a channel changes */
+  kg_clip_set_translation(clip, 0, 1, kg_vec3_make(100, 200, 300));
+  assert_close(clip->translations[1].x, 5.0, 1e-15);
+  assert_close(clip->translations[1].y, 10.0, 1e-15);
+  assert_close(clip->translations[1].z, 300.0, 1e-15);
+  assert_close(clip->values[3], 600.0, 1e-12);
+  kg_clip_set_translation(clip, 0, 2, kg_vec3_make(7, 7, 7));
+  assert_close(clip->translations[2].x, 0.5, 1e-15);
   kg_clip_destroy(clip);
+}
+
+static void a_changed_frame_keeps_the_signs_of_all_later_ones(void **state)
+{
+  (void)state;
+  const int axes[] = {0};
+  text_buffer text = {0};
+  make_two_joints(&text, axes, 1, 1);
+  text.length = (size_t)(strstr(text.at, "Frames") - text.at);
+  text_add(&text, "Frames: 50\nFrame Time: .01\n");
+  for (int t = 0; t < 50; t++)
+    text_add(&text, "0 0 0 0 %d\n", 200 + t);
+  kg_clip *clip = clip_of(text.at, text.length);
+  kg_clip_set_rotation(clip, 0, 1, kg_quat_exp(kg_vec3_make(170 * pi / 180, 0, 0)), -1);
+  for (int t = 1; t < 50; t++) {
+    assert_true(kg_quat_dot(clip->rotations[2 * t + 1], clip->rotations[2 * t - 1]) > 0.9);
+  }
+  kg_clip_destroy(clip);
+  text_free(&text);
 }
 
 static void quaternions_do_not_jump(void **state)
@@ -620,6 +649,27 @@ static void failed_writes_leave_the_old_file(void **state)
     assert_int_not_equal(access("/dev/full.part0", F_OK), 0);
     assert_int_equal(access("/dev/full", F_OK), 0);
   }
+  /* a disk that is full half way */
+  const char *path = KG_TEST_SCRATCH "/old.bvh";
+  struct rlimit old_limit, small = {.rlim_cur = 100};
+  char back[16] = "";
+  FILE *file = fopen(path, "wb");
+  fputs("old", file);
+  fclose(file);
+  assert_int_equal(getrlimit(RLIMIT_FSIZE, &old_limit), 0);
+  small.rlim_max = old_limit.rlim_max;
+  void (*old_handler)(int) = signal(SIGXFSZ, SIG_IGN);
+  assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
+  const kg_status status = kg_clip_write_bvh(clip, path, &error);
+  assert_int_equal(setrlimit(RLIMIT_FSIZE, &old_limit), 0);
+  signal(SIGXFSZ, old_handler);
+  assert_int_equal(status, KG_ERR_WRITE);
+  assert_int_not_equal(access(KG_TEST_SCRATCH "/old.bvh.part0", F_OK), 0);
+  file = fopen(path, "rb");
+  assert_int_equal(fread(back, 1, sizeof back, file), 3);
+  fclose(file);
+  unlink(path);
+  assert_string_equal(back, "old");
   kg_clip_destroy(clip);
 }
 
@@ -876,10 +926,22 @@ static void finds_unit_and_up_axis(void **state)
       /* the same person whatever the axes: lengths agree, and back through the file */
       assert_at_most(now[5].y, 1.7);
       assert_true(now[5].y > now[0].y + 0.5);
+      kg_vec3 with_rotations[PERSON_JOINTS];
+      kg_quat R[PERSON_JOINTS];
+      kg_clip_world(clip, 5, now, NULL);
+      kg_clip_world(clip, 5, with_rotations, R);
+      for (int j = 0; j < PERSON_JOINTS; j++) {
+        assert_at_most(kg_vec3_norm(kg_vec3_sub(now[j], with_rotations[j])), 1e-12);
+      }
       kg_clip_set_translation(clip, 0, 0, kg_vec3_make(1.0, 2.0, 3.0));
-      kg_clip_set_rotation(clip, 0, 0, kg_quat_exp(kg_vec3_make(0.1, 0.2, 0.3)), -1);
+      const kg_quat wanted = kg_quat_exp(kg_vec3_make(0.1, 0.2, 0.3));
+      kg_clip_set_rotation(clip, 0, 0, wanted, -1);
       kg_clip *back = written_and_read(clip, "axes.bvh");
       assert_int_equal(back->source.up, up);
+      const kg_quat miss = kg_quat_mul(kg_quat_conj(wanted), back->rotations[0]);
+      assert_at_most(kg_vec3_norm(kg_quat_log(miss)), 1e-9);
+      assert_close(back->translations[0].y, 2.0, 1e-8);
+      assert_close(back->translations[0].z, 3.0, 1e-8);
       for (int j = 0; j < PERSON_JOINTS; j++) {
         assert_at_most(kg_vec3_norm(kg_vec3_sub(back->translations[j], clip->translations[j])),
                        1e-9);
@@ -943,13 +1005,12 @@ static void finds_an_inserted_pose_only_where_there_is_one(void **state)
   const double smooth[] = {0, 0.5, 1.5, 3, 5, 7.5, 10, 13};
   const double still[] = {0, 0, 0, 0, 0, 0, 0, 0};
   const double fast[] = {0, 20, 40, 20, 0, 20, 40, 20};
-  static const struct {
-    int first;
-  } wanted[] = {{1}, {0}, {0}, {0}};
-  const double *const all[] = {inserted, smooth, still, fast};
-  for (int i = 0; i < 4; i++) {
+  const double burst[] = {0, 30, 55, 60, 60, 60, 60, 60}; /* mostly still: the median is nothing */
+  const int wanted[] = {1, 0, 0, 0, 0};
+  const double *const all[] = {inserted, smooth, still, fast, burst};
+  for (int i = 0; i < 5; i++) {
     kg_clip *clip = person_clip(100.0, KG_UP_Y, all[i], 8);
-    assert_int_equal(clip->source.first_frame, wanted[i].first);
+    assert_int_equal(clip->source.first_frame, wanted[i]);
     kg_clip_destroy(clip);
   }
   /* dropped by resampling, kept on demand */
@@ -1040,6 +1101,7 @@ int main(void)
     cmocka_unit_test(printed_numbers_come_back_bit_equal),
     cmocka_unit_test(channels_multiply_left_to_right),
     cmocka_unit_test(position_channels_replace_the_offset),
+    cmocka_unit_test(a_changed_frame_keeps_the_signs_of_all_later_ones),
     cmocka_unit_test(quaternions_do_not_jump),
     cmocka_unit_test(reads_the_variants_of_the_format),
     cmocka_unit_test(memory_follows_the_data_and_not_the_header),

@@ -335,6 +335,12 @@ static void a_joint_elsewhere_in_the_tree_does_not_count(void **state)
   assert_int_equal(kg_mapping_find(&mapping, clip, NULL, NULL), KG_OK);
   assert_int_equal(mapping.joint_of_role[KG_ROLE_L_WRIST], kg_clip_find(clip, "leftHand"));
   assert_int_equal(mapping.joint_of_role[KG_ROLE_R_WRIST], -1);
+  assert_string_equal(mapping.source, "MotionBuilder/Mixamo"); /* CMU places as many: a tie */
+  /* in a map file the exact name goes before another case */
+  const char *path = write_map("l_wrist = leftHand");
+  assert_int_equal(kg_mapping_find(&mapping, clip, path, NULL), KG_OK);
+  assert_int_equal(mapping.joint_of_role[KG_ROLE_L_WRIST], kg_clip_find(clip, "leftHand"));
+  unlink(path);
   kg_clip_destroy(clip);
 }
 
