@@ -15,8 +15,11 @@
 #include "sdf/feature.h"
 #include "sdf/topology.h"
 
-#include <stdlib.h>
 #include <string.h>
+
+#if defined(__SSE2__)
+#include <emmintrin.h>
+#endif
 
 /* What the closest-point test reads; two cache lines. */
 typedef struct triangle {
@@ -104,6 +107,9 @@ static void visit_leaf(const kg_mesh *mesh, int first, int count, kg_vec3 x, clo
   }
 }
 
+/* The roundings of a squared distance in floats add up to less than 5e-7 of it. */
+#define ROUNDED 0.9999990f
+
 /* x as an interval of floats, and the squared distances to four boxes, never too large */
 typedef struct float_point {
   float lo[3], hi[3];
@@ -121,6 +127,19 @@ static float_point as_floats(kg_vec3 x)
   return out;
 }
 
+#if defined(__SSE2__)
+static inline void box_distances(const bvh_node *node, const float_point *x, float out[BVH_WIDTH])
+{
+  __m128 sum = _mm_setzero_ps();
+  for (int i = 0; i < 3; i++) {
+    const __m128 under = _mm_sub_ps(_mm_load_ps(node->lo[i]), _mm_set1_ps(x->hi[i]));
+    const __m128 over = _mm_sub_ps(_mm_set1_ps(x->lo[i]), _mm_load_ps(node->hi[i]));
+    const __m128 outside = _mm_max_ps(_mm_max_ps(under, over), _mm_setzero_ps());
+    sum = _mm_add_ps(sum, _mm_mul_ps(outside, outside));
+  }
+  _mm_storeu_ps(out, _mm_mul_ps(_mm_set1_ps(ROUNDED), sum));
+}
+#else
 static inline void box_distances(const bvh_node *node, const float_point *x, float out[BVH_WIDTH])
 {
   for (int k = 0; k < BVH_WIDTH; k++) {
@@ -131,9 +150,10 @@ static inline void box_distances(const bvh_node *node, const float_point *x, flo
       const float outside = gap > 0.0f ? gap : 0.0f;
       sum += outside * outside;
     }
-    out[k] = 0.9999990f * sum; /* the roundings above add up to less than 5e-7 */
+    out[k] = ROUNDED * sum;
   }
 }
+#endif
 
 typedef struct waiting {
   float distance2;
@@ -179,11 +199,12 @@ static kg_vec3 edge_direction(const triangle *t, feature on)
 
 kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x)
 {
-  const closest best = find_closest(mesh, x);
-  if (best.triangle < 0) { /* x is not finite, or its square overflows */
-    const double far = kg_vec3_norm(x);
+  const double far = kg_vec3_norm(x);
+  if (!(far < 1e18)) { /* not finite, or its square overflows a float: any mesh is a point then */
     return (kg_sdf_value){far, {0.0, 1.0, 0.0}, {0.0}};
   }
+  const closest best = find_closest(mesh, x);
+  KG_ASSERT(best.triangle >= 0);
   const triangle *t = &mesh->triangles[best.triangle];
   if (best.on == FACE) {
     const double height = kg_vec3_dot(t->n, kg_vec3_sub(x, t->a));

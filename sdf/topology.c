@@ -271,10 +271,10 @@ static kg_status check_input(const kg_vec3 *vertices, int vertex_count, const in
   }
   for (int i = 0; i < vertex_count; i++) {
     const kg_vec3 p = vertices[i];
-    /* squares of distances must not overflow either */
-    if (!(fabs(p.x) < 1e100 && fabs(p.y) < 1e100 && fabs(p.z) < 1e100)) {
+    /* squares of distances must not overflow in floats either */
+    if (!(fabs(p.x) < 1e18 && fabs(p.y) < 1e18 && fabs(p.z) < 1e18)) {
       return kg_fail(error, KG_ERR_FORMAT, "", 0, 0,
-                     "vertex %d is not a finite point: (%g, %g, %g)", i + 1, p.x, p.y, p.z);
+                     "vertex %d is not a usable point: (%g, %g, %g)", i + 1, p.x, p.y, p.z);
     }
   }
   for (size_t k = 0; k < 3 * (size_t)triangle_count; k++) {
