@@ -1,0 +1,18 @@
+/* The commands. A new one is a file with its cli_command and a line here. */
+#ifndef CLI_COMMANDS_H
+#define CLI_COMMANDS_H
+
+#include "cli/options.h"
+
+/* clang-format off */
+#define CLI_COMMAND_LIST(X)                                                                        \
+  X(info)                                                                                          \
+  X(correct)                                                                                       \
+  X(eval)
+/* clang-format on */
+
+#define CLI_DECLARE(name) extern const cli_command cli_command_##name;
+CLI_COMMAND_LIST(CLI_DECLARE)
+#undef CLI_DECLARE
+
+#endif

@@ -1,0 +1,81 @@
+/* Help topics. What stands in a table elsewhere is printed from there. */
+#include "cli/topics.h"
+
+#include "cli/scores.h"
+#include "kinegrad/clip.h"
+
+static void print_formats(FILE *out)
+{
+  fputs("Read\n"
+        "  BVH  any channel order, several position or rotation channels per joint, end sites\n"
+        "  AMC  Acclaim motion with its ASF skeleton (--asf, or found by name beside the clip)\n"
+        "  The content decides, not the name. Skeletons are mapped to 23 roles by joint names\n"
+        "  (CMU, ASF, MotionBuilder and Mixamo, Xsens, SNU) or by --map.\n"
+        "Written\n"
+        "  BVH   hierarchy, channel order and frame time of the capture\n"
+        "  JSON  reports (--json)\n"
+        "  CSV   forces (--forces): a header line, then one line per frame\n"
+        "  MJCF  the body for MuJoCo (info --mjcf)\n"
+        "Meshes for --scene\n"
+        "  OBJ, PLY, OFF, STL\n",
+        out);
+}
+
+static void print_units(FILE *out)
+{
+  fputs("Inside and in every report: metres, seconds, kilograms, newtons, radians; Y is up.\n"
+        "The unit of a file is estimated from the size of the skeleton (--unit tells it), its up\n"
+        "axis from the rest pose (--up). The corrected clip has the file's own unit and axes, and\n"
+        "angles in degrees, as BVH wants. Frames are counted from 0 as in the file, an inserted\n"
+        "T-pose included; the time of a frame is its number times the frame time.\n",
+        out);
+}
+
+static void print_exit_codes(FILE *out)
+{
+  fputs("  0    done, and the answer is good\n"
+        "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
+        "       converge, a clip without its output\n"
+        "  2    wrong usage\n"
+        "  3    an input cannot be read, or cannot be used\n"
+        "  4    an output cannot be written\n"
+        "  130  interrupted\n"
+        "With any code from 2 on no output is left behind. With 1 the outputs are complete.\n",
+        out);
+}
+
+static void print_json(FILE *out)
+{
+  fputs("A report is one object; units stand in the names of the keys, what does not apply is\n"
+        "null, numbers have 17 significant digits. Keys of correct and eval:\n"
+        "  mpjpe_m  mpjpe_max_m  acceleration_peak_ratio  mpjpe_normalized_m\n",
+        out);
+  for (int i = 0; i < cli_score_count; i++) {
+    fprintf(out, "  %-30s %s\n", cli_scores[i].key, cli_scores[i].text);
+  }
+  fputs("  capture     the same for the capture\n"
+        "  joints      one array per key: name, mpjpe_m, ...\n"
+        "  frames      one array per key: frame, time_s, mpjpe_m, penetration_m, ...\n"
+        "  constants   every number the metrics rest on\n"
+        "  clip floor body mapping    what was decided about the capture\n"
+        "and of correct alone:\n"
+        "  residual_force_ratio  residual_force_ratio_peak  residual_moment_ratio\n"
+        "  residual_moment_ratio_peak  correction_force_ratio  correction_force_ratio_peak\n"
+        "  peak_grf_N  unexplained_count  unexplained_frames  ms_per_frame  timing  newton\n"
+        "docs/guide/read-the-report.md defines each of them.\n",
+        out);
+}
+
+static void print_roles(FILE *out)
+{
+  fputs("A map (--map) has one 'role = joint name' per line; # starts a comment. Roles:\n", out);
+  for (int role = 0; role < KG_ROLE_COUNT; role++) {
+    fprintf(out, "  %s\n", kg_role_name((kg_role)role));
+  }
+}
+
+const cli_topic cli_topics[] = {
+  {"formats", print_formats}, {"units", print_units}, {"exit-codes", print_exit_codes},
+  {"json", print_json},       {"roles", print_roles},
+};
+const int cli_topic_count = (int)KG_COUNT_OF(cli_topics);
