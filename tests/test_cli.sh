@@ -1,0 +1,441 @@
+#!/bin/sh
+# The command from outside: exit codes, streams, bad input, atomic output, reports, help.
+#   test_cli.sh KINEGRAD JSON_GET DATA_FOLDER SCRATCH_FOLDER
+set -u
+kinegrad=$(realpath "$1") json_get=$(realpath "$2") data=$(realpath "$3") scratch=$4
+failures=0 claims=0
+
+rm -rf "$scratch"
+mkdir -p "$scratch/out"
+cd "$scratch" || exit 1
+walk=$scratch/walk.bvh
+# someone who stands and waves: the joints of walker.bvh in their rest pose, the left arm moves
+awk '/^MOTION/ {exit} {print} /ROOT|JOINT/ {name = $2} /CHANNELS/ {
+    if (name == "LeftArm") arm = n
+    n += $2}
+  END {print "MOTION\nFrames: 48\nFrame Time: 0.0083333333"
+    for (t = 0; t < 48; t++) {
+      for (i = 0; i < n; i++) {
+        v = 0
+        if (i == 1) v = 100
+        if (i == arm) v = 30 + 10 * cos(0.13 * t)
+        printf "%.6f ", v}
+      print ""}}' "$data/walker.bvh" >"$walk"
+
+fail() {
+  failures=$((failures + 1))
+  echo "FAILED: $*" >&2
+}
+
+claim() { # WHAT COMMAND...: the command succeeds
+  what=$1
+  shift
+  claims=$((claims + 1))
+  "$@" >/dev/null || fail "$what"
+}
+
+run() { # CODE ARGUMENT...: exit code as expected; streams in stdout.txt and stderr.txt
+  expected=$1
+  shift
+  claims=$((claims + 1))
+  "$kinegrad" "$@" >stdout.txt 2>stderr.txt
+  code=$?
+  if [ $code -ne "$expected" ]; then
+    fail "kinegrad $*: exit code $code, expected $expected"
+    sed 's/^/    /' stderr.txt >&2
+  fi
+}
+
+says() { # PATTERN: the one line on stderr
+  claims=$((claims + 1))
+  if [ "$(wc -l <stderr.txt)" -ne 1 ] || ! grep -Eq -- "$1" stderr.txt; then
+    fail "expected one message like '$1', got:"
+    sed 's/^/    /' stderr.txt >&2
+  fi
+}
+
+nothing_in() { # FOLDER: empty, hidden files included
+  claims=$((claims + 1))
+  left=$(find "$1" -mindepth 1 | head -3)
+  [ -z "$left" ] || fail "left behind: $left"
+}
+
+silent() {
+  claims=$((claims + 1))
+  [ ! -s stdout.txt ] || fail "stdout has text although the command failed"
+}
+
+# ---- usage ---------------------------------------------------------------------------------------
+
+run 2
+says "a command is missing"
+run 2 corect
+says "unknown command 'corect'; did you mean 'correct'\?"
+run 2 frobnicate
+says "unknown command 'frobnicate'; 'kinegrad --help'"
+run 2 train
+says "unknown command 'train'"
+run 2 --verbose
+says "a command comes first"
+run 2 info
+says "takes one clip, 0 given"
+run 2 info a.bvh b.bvh
+says "takes one clip, 2 given"
+run 2 info "$walk" --untis 1
+says "unknown option --untis of 'info'; did you mean --unit\?"
+run 2 info "$walk" -unit 1
+says "unknown option --unit"
+run 2 info "$walk" --keep-first-frame=1
+says "keep-first-frame takes no value"
+run 2 info "$walk" --unit
+says "unit needs a value"
+run 2 info "$walk" --json --quiet
+says "json needs a value"
+run 2 info "$walk" --up=w
+says "up: 'w' is none of"
+for bad in nan inf 0x1p3 1e400 abc 1,5 "" "1 "; do
+  run 2 info "$walk" --unit "$bad"
+  says "--unit: '.*' is not a number \(m per unit"
+done
+run 2 info "$walk" --mass -3
+says "--mass: -3 is out of range, expected 1 to 1000 \(kg\)"
+run 2 correct "$walk" -o out/x.bvh --threads 1.5
+says "--threads: '1.5' is not a whole number"
+run 2 correct "$walk" -o out/x.bvh --threads 99999999999999999999
+says "--threads: .* is out of range"
+run 2 correct "$walk"
+says "needs a file to write"
+run 2 correct "$walk" -o out/x.fbx
+says "does not end in .bvh"
+for option in "--forces f.csv" "--dt 0.01" "--gravity 9.81"; do
+  # shellcheck disable=SC2086 # two words
+  run 2 correct "$walk" -o out/x.bvh --method sdf $option
+  says "has no meaning with --method sdf"
+done
+run 2 eval "$walk"
+says "takes a capture and an output, 1 given"
+run 2 eval "$walk" "$scratch"
+says "two clips or two folders"
+run 2 help exit-code
+says "did you mean 'exit-codes'"
+nothing_in out
+
+# ---- help is made from the table -----------------------------------------------------------------
+
+run 0 --help
+claim "overview names every command" grep -Eq "^  correct +make" stdout.txt
+claim "help goes to stdout" test ! -s stderr.txt
+run 0 --version
+claim "version" grep -Eq "^kinegrad [0-9]+\.[0-9]+\.[0-9]+$" stdout.txt
+for topic in formats units exit-codes json roles info correct eval; do
+  run 0 help $topic
+  claim "help $topic says something" test "$(wc -l <stdout.txt)" -ge 5
+done
+run 0 help json
+claim "help json has the keys" grep -q momentum_balance stdout.txt
+for command in info correct eval; do
+  run 0 $command -h
+  grep -oE -- '--[a-z-]+' stdout.txt | sort -u >short.txt
+  cp stdout.txt short_text.txt
+  run 0 $command --help
+  grep -oE -- '^ +(-[a-zA-Z], )?--[a-z-]+' stdout.txt | grep -oE -- '--[a-z-]+' | sort -u >long.txt
+  claim "$command: -h and --help name the same options" test -z "$(comm -13 short.txt long.txt)"
+  claim "$command: -h is shorter" test "$(wc -l <short_text.txt)" -lt "$(wc -l <stdout.txt)"
+  claim "$command: no line of -h is over 100 columns" awk 'length > 100 {exit 1}' short_text.txt
+  claim "$command: -h explains every option" test "$(grep -c '  --\|-., --' short_text.txt)" -ge 3
+done
+run 0 info --help
+claim "units and ranges stand in --help" grep -q "unit: kg; range: 1 to 1000" stdout.txt
+
+# ---- every example in --help runs ----------------------------------------------------------------
+
+mkdir -p examples/captures examples/corrected
+cp "$walk" examples/walk.bvh
+cp "$walk" examples/captures/walk.bvh
+cp "$walk" examples/corrected/walk.bvh
+for command in info correct eval; do
+  "$kinegrad" $command --help | sed -n '/^Examples:/,$p' | sed -n 's/^  kinegrad //p' >examples.txt
+  claim "$command has examples" test -s examples.txt
+  while read -r line; do
+    claims=$((claims + 1))
+    # shellcheck disable=SC2086 # a command line is words
+    (cd examples && "$kinegrad" $line >example_out.txt 2>example_err.txt) || {
+      fail "example: kinegrad $line"
+      cat examples/example_err.txt >&2
+    }
+  done <examples.txt
+done
+
+# ---- info ----------------------------------------------------------------------------------------
+
+run 0 info "$walk"
+for line in "unit  " "up axis  " "first frame  " "floor  " "body  .*70.00 kg" "mapping  " \
+  "pelvis  *Hips" "left foot .*ground in [0-9]+ %"; do
+  claim "info prints $line" grep -Eq "$line" stdout.txt
+done
+run 0 info "$walk" --json -
+cp stdout.txt info.json
+claim "info --json - is JSON and nothing else" "$json_get" info.json
+claim "frames" test "$("$json_get" info.json clip.frame_count)" = 48
+claim "pelvis" test "$("$json_get" info.json mapping.pelvis)" = '"Hips"'
+run 0 info "$walk" --mass 60 --unit 0.02 --up y --floor -0.125 --json=info2.json
+claim "info --json FILE" "$json_get" info2.json
+claim "the text stays with --json FILE" grep -q "given" stdout.txt
+claim "unit given" test "$("$json_get" info2.json clip.unit_m)" = 0.02
+claim "floor given" test "$("$json_get" info2.json floor.height_m)" = -0.125
+"$json_get" info2.json segments.mass_kg | tr -d '[] ' >masses.txt
+# shellcheck disable=SC2016 # the dollars are awk's
+claim "segment masses add up to the mass" awk -F, \
+  '{for (i = 1; i <= NF; i++) m += $i} END {exit !(m > 60 - 1e-9 && m < 60 + 1e-9)}' masses.txt
+run 0 info "$walk" --joints
+claim "--joints lists all 31" test "$(wc -l <stdout.txt)" -eq 31
+run 0 info --joints -- "$walk"
+run 0 info "$walk" --mjcf body.xml
+claim "the MJCF file is one" grep -q "<mujoco" body.xml
+claim "a closed pipe is no error" sh -c "'$kinegrad' info '$walk' --json - | head -c 1 >/dev/null"
+if [ -w /dev/full ]; then
+  claims=$((claims + 1))
+  "$kinegrad" info "$walk" >/dev/full 2>stderr.txt
+  [ $? -eq 4 ] || fail "a full stdout must be exit code 4"
+  says "standard output cannot be written"
+fi
+
+# ---- unreadable input: exit 3, one message file:line:column, no output ---------------------------
+
+mkdir -p bad
+: >bad/empty.bvh
+printf '\211PNG\r\n\032\n\000\000\000\rIHDR' >bad/picture.bvh
+head -20 "$walk" >bad/truncated_header.bvh
+sed '/^Frame Time/q' "$walk" >bad/no_frame.bvh
+(sed '/^Frame Time/q' "$walk"; echo "1 2 3") >bad/no_complete_frame.bvh
+first=$(($(grep -n '^Frame Time' "$walk" | cut -d: -f1) + 1))
+sed "$((first + 3))s/^[^ ]*/nan/" "$walk" >bad/nan.bvh
+sed "$((first + 3))s/^[^ ]*/1e400/" "$walk" >bad/huge.bvh
+sed 's/^Frame Time:.*/Frame Time: -0.01/' "$walk" >bad/negative_time.bvh
+sed 's/^Frame Time:.*/Frame Time: 0/' "$walk" >bad/zero_time.bvh
+sed '0,/CHANNELS 6 Xposition/s//CHANNELS 7 Xposition Xposition/' "$walk" >bad/seven_channels.bvh
+awk 'BEGIN {
+  print "HIERARCHY"; print "ROOT j"; for (i = 0; i < 100000; i++) {
+    print "{\nOFFSET 0 1 0\nCHANNELS 3 Zrotation Xrotation Yrotation\nJOINT j" i } }' >bad/deep.bvh
+
+for file in empty picture truncated_header no_frame no_complete_frame nan huge negative_time \
+  zero_time seven_channels deep; do
+  run 3 correct "bad/$file.bvh" -o out/x.bvh --json out/x.json --forces out/x.csv
+  says "^kinegrad: bad/$file\.bvh:[0-9]+:([0-9]+:)? .*(expected|, .*)"
+  silent
+  nothing_in out
+  run 3 info "bad/$file.bvh"
+  silent
+done
+says_line() { # LINE: the message points at it
+  claims=$((claims + 1))
+  grep -q ":$1:" stderr.txt || fail "expected the message to point at line $1: $(cat stderr.txt)"
+}
+run 3 info bad/nan.bvh
+says_line $((first + 3))
+run 3 info bad/negative_time.bvh
+says_line $((first - 1))
+
+printf ':FULLY-SPECIFIED\n:DEGREES\n1\nroot 0 0 0 0 0 0\n' >bad/alone.amc
+run 3 correct bad/alone.amc -o out/x.bvh
+says "^kinegrad: bad/.*(ASF|asf)"
+nothing_in out
+sed 's/LeftUpLeg/Bone7/; s/RightArm/Bone9/' "$walk" >bad/names.bvh
+run 3 correct bad/names.bvh -o out/x.bvh
+says "^kinegrad: bad/names\.bvh: .*l_hip.*map"
+claim "every missing role is named" grep -q r_shoulder stderr.txt
+nothing_in out
+run 0 info bad/names.bvh --joints
+printf 'l_hip = Bone7\nr_shoulder = Bone9\n' >names.map
+run 0 info bad/names.bvh --map names.map
+run 3 info bad/names.bvh --map no_such.map
+says "no_such\.map"
+run 3 info no_such_file.bvh
+says "^kinegrad: no_such_file\.bvh: .*No such file"
+run 3 info "$scratch"
+run 3 correct "$walk" -o out/x.bvh --scene no_such.obj
+says "no_such\.obj"
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n' >bad/index.obj
+run 3 correct "$walk" -o out/x.bvh --scene bad/index.obj
+says "bad/index\.obj"
+nothing_in out
+
+# ---- outputs that cannot be written: exit 4, before the computation, all or nothing --------------
+
+run 4 correct "$walk" -o no_such_folder/x.bvh
+says "no_such_folder/x\.bvh: cannot be written: No such file"
+mkdir -p out/folder.bvh
+run 4 correct "$walk" -o out/folder.bvh
+says "it is a folder"
+rmdir out/folder.bvh
+run 4 correct "$walk" -o out/x.bvh --json no_such_folder/x.json
+nothing_in out
+run 4 correct "$walk" -o out/x.bvh --json out/x.bvh
+says "two outputs"
+nothing_in out
+if [ -w /dev/full ]; then
+  for option in --json --forces; do
+    run 4 correct "$walk" -o out/x.bvh $option /dev/full
+    silent
+    nothing_in out
+  done
+fi
+run 4 info "$walk" --mjcf no_such_folder/x.xml
+run 4 eval "$walk" "$walk" --json no_such_folder/x.json
+
+# an existing file survives a failure
+echo precious >out/x.bvh
+run 3 correct bad/nan.bvh -o out/x.bvh
+claim "an existing file survives bad input" grep -q precious out/x.bvh
+run 3 correct "$walk" -o out/x.bvh --scene no_such.obj
+claim "an existing file survives a bad scene" grep -q precious out/x.bvh
+claim "and nothing else is there" test "$(find out -mindepth 1 | wc -l)" -eq 1
+rm out/x.bvh
+
+# ---- correct -------------------------------------------------------------------------------------
+
+keys="mpjpe_m penetration_events penetration_max_m angular_momentum_change angular_momentum_drift
+  slip_m slip_m_per_s validity residual_force_ratio residual_moment_ratio momentum_balance
+  correction_force_ratio ms_per_frame mpjpe_normalized_m constants newton timing floor clip
+  unexplained_frames"
+hierarchy() {
+  sed '/^Frame Time/q' "$1"
+}
+for method in sdf track; do
+  option=
+  [ $method = track ] && option="--forces out/f.csv"
+  # shellcheck disable=SC2086
+  run 0 correct "$walk" -o out/a.bvh --method $method --json out/a.json $option
+  claim "$method: the table has both columns" grep -Eq "capture +output" stdout.txt
+  claim "$method: no progress when stderr is no terminal" test ! -s stderr.txt
+  claim "$method: the report is JSON" "$json_get" out/a.json
+  for key in $keys; do
+    claim "$method: key $key" "$json_get" out/a.json "$key"
+  done
+  for key in penetration_max_m slip_m slip_m_per_s validity momentum_balance; do
+    claim "$method: capture $key" "$json_get" out/a.json capture.$key
+  done
+  claim "$method: no penetration" awk "BEGIN {exit !($("$json_get" out/a.json penetration_max_m) <= 1e-5)}"
+  claim "$method: 48 frames" test "$("$json_get" out/a.json frames.frame.47)" = 47
+  claim "$method: no more" test "$("$json_get" out/a.json frames.mpjpe_m.48 || echo none)" = none
+  claim "$method: 23 joints" test "$("$json_get" out/a.json joints.name.0)" = '"pelvis"'
+  claim "$method: a distance for the last" "$json_get" out/a.json joints.mpjpe_m.22
+  hierarchy "$walk" | tr -s ' \t\r' ' ' | sed 's/^ //; s/ $//' >h1.txt
+  hierarchy out/a.bvh | tr -s ' \t\r' ' ' | sed 's/^ //; s/ $//' >h2.txt
+  claim "$method: same joints, channels, frame count and frame time" \
+    test "$(grep -cE 'ROOT|JOINT|CHANNELS|Frames' h1.txt)" -eq "$(grep -cE 'ROOT|JOINT|CHANNELS|Frames' h2.txt)"
+  grep -E 'ROOT|JOINT|CHANNELS|Frame' h1.txt >g1.txt
+  grep -E 'ROOT|JOINT|CHANNELS|Frame' h2.txt >g2.txt
+  claim "$method: in the same order" cmp -s g1.txt g2.txt
+  # shellcheck disable=SC2086
+  run 0 correct "$walk" -o out/b.bvh --method $method --threads 2 --quiet
+  claim "$method: same bytes for 2 threads" cmp -s out/a.bvh out/b.bvh
+  run 0 eval "$walk" out/a.bvh --json out/e.json
+  for key in mpjpe_m penetration_max_m slip_m validity momentum_balance; do
+    claim "$method: eval agrees with the report on $key" \
+      test "$("$json_get" out/e.json $key)" = "$("$json_get" out/a.json $key)"
+  done
+done
+claim "track: forces have one line per frame and a header" test "$(wc -l <out/f.csv)" -eq 49
+claim "forces: same number of fields everywhere" \
+  awk -F, 'NR == 1 {n = NF} NF != n {exit 1}' out/f.csv
+# shellcheck disable=SC2016 # the dollars are awk's
+claim "forces: units in every column but the frame" \
+  awk -F, 'NR == 1 {for (i = 1; i <= NF; i++) if ($i != "frame" && $i !~ /_(s|N|m|Nm)$/) exit 1}' out/f.csv
+claim "forces: no nan" sh -c '! grep -qi -e nan -e inf out/f.csv'
+run 0 correct "$walk" -o out/low.bvh --method sdf --floor 0.08 --json out/low.json
+claim "sdf: the capture was below this floor" \
+  awk "BEGIN {exit !($("$json_get" out/low.json capture.penetration_max_m) > 0.005)}"
+claim "sdf: the output is not" \
+  awk "BEGIN {exit !($("$json_get" out/low.json penetration_max_m) <= 1e-5)}"
+claim "sdf: it was moved, but not far" \
+  awk "BEGIN {m = $("$json_get" out/low.json mpjpe_m); exit !(m > 1e-4 && m < 0.02)}"
+run 0 correct "$walk" -o out/a.bvh --method sdf --json -
+cp stdout.txt out/a.json
+claim "--json - is JSON and nothing else" "$json_get" out/a.json
+claim "a kinematic method has no residual" test "$("$json_get" out/a.json residual_force_ratio)" = null
+run 0 correct "$walk" -o out/a.bvh --method sdf --progress json
+claim "progress is JSON lines" sh -c 'head -1 stderr.txt >line.json'
+claim "each an object" "$json_get" line.json share
+run 0 correct "$walk" -o out/a.bvh --method sdf --progress json --quiet
+claim "--quiet is quiet" test ! -s stderr.txt
+cp "$walk" out/self.bvh
+run 0 correct out/self.bvh -o out/self.bvh --method sdf
+ln -s self.bvh out/link.bvh
+run 0 correct "$walk" -o out/link.bvh --method sdf
+claim "a symbolic link stays one" test -L out/link.bvh
+printf 'v -9 -1 -9\nv 9 -1 -9\nv 9 -1 9\nv -9 -1 9\nv 0 -2 0\nf 1 4 3 2\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n' >deep.obj
+run 0 correct "$walk" -o out/s.bvh --method sdf --scene deep.obj --scene-unit 1 --quiet
+if command -v script >/dev/null; then
+  TERM=xterm script -qec "'$kinegrad' correct '$walk' -o out/a.bvh --method track" /dev/null >tty.txt
+  claim "a terminal gets a progress line" grep -q "frames  .* fps  ETA" tty.txt
+fi
+
+# answer is no: falling in the air where nothing can carry the body
+run 1 correct "$walk" -o out/no.bvh --floor -3 --json out/no.json
+claim "the frames are named" grep -Eq "external support missing in frames [0-9]+" stderr.txt
+claim "the file is written all the same" test -s out/no.bvh
+claim "the report has the ranges" "$json_get" out/no.json unexplained_frames.0.1
+
+# ---- documents keep up ---------------------------------------------------------------------------
+
+# shellcheck disable=SC2016 # patterns
+guide=$data/../../docs/guide/read-the-report.md
+sed -n 's/^ "\([^"]*\)":.*/\1/p' out/no.json | grep -vE '^(schema|kinegrad|command|method|output)$' >keys.txt
+claim "the report has keys" test "$(wc -l <keys.txt)" -ge 30
+while read -r key; do
+  claim "the guide explains $key" grep -q "\`$key\`" "$guide"
+done <keys.txt
+# shellcheck disable=SC2016 # a pattern
+sed -n 's/^ *X(\(KG_[A-Z_]*\), \(-*[0-9]*\), "\(.*\)").*/| `\1` | \2 | \3 |/p' \
+  "$data/../../include/kinegrad/base.h" >statuses.txt
+claim "status codes were found" test "$(wc -l <statuses.txt)" -ge 8
+while read -r row; do
+  claim "docs/errors.md has $row" grep -qF "$row" "$data/../../docs/errors.md"
+done <statuses.txt
+
+# ---- interruption: 130, nothing left -------------------------------------------------------------
+
+rm -rf out
+mkdir out
+awk -v n=40 '/^Frames:/ {print "Frames: " $2 * n; next} /^Frame Time/ {print; data = 1; next}
+  !data {print} data {row[++k] = $0}
+  END {for (r = 0; r < n; r++) for (i = 1; i <= k; i++) print row[r % 2 ? k + 1 - i : i]}' \
+  "$walk" >long.bvh
+"$kinegrad" correct long.bvh -o out/x.bvh --json out/x.json --progress json >stdout.txt 2>stderr.txt &
+pid=$!
+for _ in 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20; do
+  grep -q share stderr.txt && break
+  sleep 0.1
+done
+kill -INT $pid
+wait $pid
+code=$?
+claim "interrupted: exit code $code" test $code -eq 130
+claim "interrupted: said so" grep -q "interrupted; nothing was written" stderr.txt
+silent
+nothing_in out
+
+# ---- eval of two folders -------------------------------------------------------------------------
+
+mkdir -p captures corrected
+cp "$walk" captures/one.bvh
+cp "$walk" captures/two.bvh
+cp "$walk" corrected/one.bvh
+run 1 eval captures corrected --json folders.json
+says "captures/two\.bvh: no output of this clip in corrected"
+claim "folders: mean of nothing changed" test "$("$json_get" folders.json mpjpe_m)" = 0.0
+claim "folders: one clip" test "$("$json_get" folders.json clip_count)" = 1
+claim "folders: the pair" "$json_get" folders.json clips.0.capture.slip_m
+cp "$walk" corrected/two.bvh
+run 0 eval captures corrected
+claim "folders: a row for each and the mean" test "$(grep -cE '^(one|two|mean)' stdout.txt)" -eq 3
+mkdir -p nothing
+run 3 eval nothing corrected
+says "no clip"
+head -n $((first + 20)) "$walk" | sed 's/^Frames:.*/Frames: 21/' >short.bvh
+run 3 eval "$walk" short.bvh
+says "short\.bvh: .*frame"
+
+echo "$claims claims, $failures failed"
+[ $failures -eq 0 ]

@@ -1,0 +1,94 @@
+#!/bin/sh
+# Installs into a fresh prefix, moves it, and builds and runs a consumer four ways: find_package()
+# and pkg-config, shared and static.
+#   test_install.sh BUILD_FOLDER SCRATCH_FOLDER CC CXX
+set -eu
+build=$1 scratch=$2 cc=$3 cxx=$4
+
+rm -rf "$scratch"
+mkdir -p "$scratch/consumer"
+cmake --install "$build" --prefix "$scratch/first" >"$scratch/install.log"
+mv "$scratch/first" "$scratch/prefix" # the tree must not know where it was installed
+prefix=$scratch/prefix
+
+cat >"$scratch/consumer/main.c" <<'C'
+#include <stdio.h>
+#include "kinegrad/correct.h"
+#include "kinegrad/metrics.h"
+int main(void)
+{
+  kg_clip *clip = NULL;
+  kg_subject *subject = NULL;
+  kg_correct_result *result = NULL;
+  const kg_clip_def def = kg_clip_default_def();
+  const kg_subject_def subject_def = kg_subject_default_def();
+  const kg_correct_def correct_def = kg_correct_default_def();
+  kg_error error;
+  if (kg_clip_read(&clip, "no such file", &def, &error) != KG_ERR_READ) {
+    return 1;
+  }
+  if (clip && kg_subject_create(&subject, clip, &subject_def, &error) == KG_OK &&
+      kg_correct(&result, subject, &correct_def, &error) == KG_OK) {
+    return 2;
+  }
+  printf("%.4f\n", kg_metric_validity(1.0, 0.001));
+  return 0;
+}
+C
+cat >"$scratch/consumer/CMakeLists.txt" <<'CMAKE'
+cmake_minimum_required(VERSION 3.21)
+project(consumer LANGUAGES C CXX)
+find_package(kinegrad 0.1 REQUIRED COMPONENTS static)
+add_executable(with_shared main.c)
+target_link_libraries(with_shared PRIVATE kinegrad::kinegrad)
+add_executable(with_static main.c)
+target_link_libraries(with_static PRIVATE kinegrad::kinegrad_static)
+CMAKE
+
+check() { # NAME COMMAND...: the consumer runs and gives the number computed by hand
+  name=$1
+  shift
+  answer=$("$@")
+  # 1 - 0.0731 * 1 - 0.0231 * 1 (mm)
+  if [ "$answer" != 0.9038 ]; then
+    echo "$name: got '$answer', expected 0.9038" >&2
+    exit 1
+  fi
+  echo "$name: good"
+}
+
+cmake -S "$scratch/consumer" -B "$scratch/build" -DCMAKE_PREFIX_PATH="$prefix" \
+  -DCMAKE_C_COMPILER="$cc" -DCMAKE_CXX_COMPILER="$cxx" >"$scratch/configure.log"
+cmake --build "$scratch/build" >"$scratch/build.log"
+check "find_package, shared" "$scratch/build/with_shared"
+check "find_package, static" "$scratch/build/with_static"
+
+PKG_CONFIG_PATH=$(dirname "$(find "$prefix" -name kinegrad.pc)")
+export PKG_CONFIG_PATH
+libdir=$(pkg-config --variable=libdir kinegrad)
+# shellcheck disable=SC2046 # flags are words
+"$cc" "$scratch/consumer/main.c" -o "$scratch/pc_shared" $(pkg-config --cflags --libs kinegrad)
+check "pkg-config, shared" env LD_LIBRARY_PATH="$libdir" "$scratch/pc_shared"
+# shellcheck disable=SC2046
+"$cc" "$scratch/consumer/main.c" -o "$scratch/pc_static" $(pkg-config --cflags kinegrad) \
+  $(pkg-config --static --libs kinegrad | sed 's/-lkinegrad/-l:libkinegrad.a/')
+check "pkg-config, static" "$scratch/pc_static"
+
+check_version() {
+  case $("$prefix/bin/kinegrad" --version) in
+    "kinegrad $(pkg-config --modversion kinegrad)") echo "command: good" ;;
+    *)
+      echo "the installed command and pkg-config disagree on the version" >&2
+      exit 1
+      ;;
+  esac
+}
+check_version
+
+# nothing but the interface is exported
+extra=$(nm -D --defined-only "$libdir"/libkinegrad.so | awk '$2 ~ /[TDBR]/ && $3 !~ /^kg_/ {print $3}' | head -3)
+if [ -n "$extra" ]; then
+  echo "exported although it is not part of the interface: $extra" >&2
+  exit 1
+fi
+echo "exported names: good"
