@@ -48,9 +48,11 @@ kg_status kg_clip_create(kg_clip **clip, const kg_clip_parts *parts, const kg_al
   memory->up = kg_quat_identity();
   memory->newline = parts->newline;
   memory->hierarchy = copied_word(&memory->arena, parts->hierarchy);
-  memcpy(memory->frame_time_text, parts->frame_time_text.start,
-         parts->frame_time_text.length < KG_NUMBER_TEXT - 1 ? parts->frame_time_text.length
-                                                            : KG_NUMBER_TEXT - 1);
+  if (parts->frame_time_text.length < KG_NUMBER_TEXT) {
+    memcpy(memory->frame_time_text, parts->frame_time_text.start, parts->frame_time_text.length);
+  } else { /* more digits than a double has */
+    kg_print_number(memory->frame_time_text, parts->frame_time);
+  }
   copy_joints(memory, parts);
   memory->clip.joint_count = parts->joint_count;
   memory->clip.frame_count = parts->frame_count;

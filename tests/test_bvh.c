@@ -634,6 +634,19 @@ static void unchanged_files_come_back_as_they_were(void **state)
   assert_string_equal(back, text); /* down to the byte */
 }
 
+static void a_frame_time_of_many_digits_comes_back(void **state)
+{
+  (void)state;
+  static const char text[] =
+    "HIERARCHY ROOT a { OFFSET 0 1 0 CHANNELS 1 Xrotation }\nMOTION\nFrames: 1\n"
+    "Frame Time: 0.0083333333333333333333333333333333333333333e1\n5\n";
+  kg_clip *clip = clip_of(text, sizeof text - 1), *back = written_and_read(clip, "digits.bvh");
+  assert_close(clip->frame_time, 1.0 / 12.0, 1e-15);
+  assert_true(back->frame_time == clip->frame_time);
+  kg_clip_destroy(clip);
+  kg_clip_destroy(back);
+}
+
 static void failed_writes_leave_the_old_file(void **state)
 {
   (void)state;
@@ -1111,6 +1124,7 @@ int main(void)
     cmocka_unit_test(nesting_without_end_is_refused),
     cmocka_unit_test(files_that_cannot_be_opened_say_so),
     cmocka_unit_test(unchanged_files_come_back_as_they_were),
+    cmocka_unit_test(a_frame_time_of_many_digits_comes_back),
     cmocka_unit_test(failed_writes_leave_the_old_file),
     cmocka_unit_test(set_rotations_survive_the_file_in_every_channel_order),
     cmocka_unit_test(smooth_motion_has_smooth_angles_through_gimbal_lock),
