@@ -281,6 +281,14 @@ static kg_foot_fit foot_at_rest(const kg_build *b, int ankle, int knee, int toe)
   return fit;
 }
 
+/* Unit-like normals and heights within reason; anything else falls back on the rest pose. */
+static bool usable(const kg_foot_fit *fit, double stature)
+{
+  const double size = kg_vec3_norm(fit->up_ankle) * kg_vec3_norm(fit->up_toe);
+  return size > 0.25 && size < 4.0 && isfinite(kg_vec3_norm(fit->forward)) &&
+         fabs(fit->ankle_height) < 0.2 * stature && fabs(fit->toe_height) < 0.2 * stature;
+}
+
 static void measure_foot(kg_build *b, const kg_clip *clip, int side)
 {
   kg_build_foot *foot = &b->feet[side];
@@ -290,8 +298,9 @@ static void measure_foot(kg_build *b, const kg_clip *clip, int side)
     return;
   }
   const int knee = kg_build_segment(b, side == 0 ? KG_ROLE_L_KNEE : KG_ROLE_R_KNEE);
+  const bool given = b->def->has_feet && usable(&b->def->feet[side], b->stature);
   const kg_foot_fit fit =
-    b->def->has_feet ? b->def->feet[side] : foot_at_rest(b, foot->ankle, knee, foot->toe);
+    given ? b->def->feet[side] : foot_at_rest(b, foot->ankle, knee, foot->toe);
   const kg_vec3 front = kg_build_turn_local(b, foot->ankle, b->forward);
   const kg_vec3 across = kg_build_turn_local(b, foot->ankle, b->left);
   foot->up = kg_vec3_normalized(fit.up_ankle);

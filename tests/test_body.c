@@ -473,6 +473,71 @@ static void a_root_above_the_pelvis_carries_the_position(void **state)
   check_states(KG_TEST_SCRATCH "/walker_under_root.bvh");
 }
 
+/* Real skeletons of every kind at hand: bones of zero length, missing joints, odd end sites. */
+static void captured_skeletons_make_sound_bodies(void **state)
+{
+  (void)state;
+  const char *names[] = {"basketball/cmu_06_02.bvh",  "basketball/snu_s_003_6_1.bvh",
+                         "gymnastics/cmu_49_06.bvh",  "gymnastics/snu_backflip.bvh",
+                         "gymnastics/cmu_127_23.amc", "track/cmu_16_03.amc",
+                         "track/cmu_09_01.bvh"};
+  for (size_t k = 0; k < KG_COUNT_OF(names); k++) {
+    char path[1024];
+    snprintf(path, sizeof path, "%s/../../../shared/data/%s", KG_TEST_DATA, names[k]);
+    FILE *file = fopen(path, "rb");
+    if (!file) {
+      print_message("skipped: no capture at %s\n", path);
+      skip();
+    }
+    fclose(file);
+    kg_clip *clip;
+    const kg_clip_def clip_def = kg_clip_default_def();
+    assert_int_equal(kg_clip_read(&clip, path, &clip_def, NULL), KG_OK);
+    const kg_body_def def = kg_body_default_def();
+    kg_body *body = body_of(clip, &def);
+    assert_true(body->stature > 1.6 && body->stature < 1.9);
+    assert_true(body->point_count >= 200 && body->sole_node_count == 10);
+    for (int i = 0; i < body->segment_count; i++) {
+      const kg_segment *s = &body->segments[i];
+      double least, most;
+      smallest_and_largest(s->inertia, &least, &most);
+      const double trace = s->inertia[0] + s->inertia[1] + s->inertia[2];
+      assert_true(least >= def.min_inertia * (1.0 - 1e-7) && trace - most >= most * (1.0 - 1e-7));
+      assert_true(kg_vec3_norm(s->com) < 0.3);
+    }
+    kg_clip *copy;
+    double q[100], before[100];
+    assert_int_equal(kg_clip_copy(&copy, clip), KG_OK);
+    for (int t = 0; t < clip->frame_count; t++) {
+      kg_body_state_from_clip(body, clip, t, q, t > 0 ? before : NULL);
+      memcpy(before, q, sizeof q);
+      kg_body_state_to_clip(body, q, copy, t, t - 1);
+    }
+    const size_t size = (size_t)clip->frame_count * (size_t)clip->channel_count;
+    assert_memory_equal(copy->values, clip->values, size * sizeof(double));
+    kg_clip_destroy(copy);
+    kg_body_destroy(body);
+    kg_clip_destroy(clip);
+  }
+}
+
+static void a_senseless_sole_is_replaced(void **state)
+{
+  (void)state;
+  kg_clip *clip = read_clip(KG_TEST_DATA "/walker.bvh");
+  kg_body_def def = kg_body_default_def();
+  kg_body *rest = body_of(clip, &def);
+  def.has_feet = true;
+  def.feet[0].up_ankle.y = NAN; /* and the right foot all zeros */
+  kg_body *body = body_of(clip, &def);
+  for (int k = 0; k < 10; k++) {
+    assert_memory_equal(&body->points[k].p, &rest->points[k].p, sizeof(kg_vec3));
+  }
+  kg_body_destroy(body);
+  kg_body_destroy(rest);
+  kg_clip_destroy(clip);
+}
+
 static void refused_memory_leaves_nothing_behind(void **state)
 {
   (void)state;
@@ -529,6 +594,8 @@ int main(void)
     cmocka_unit_test(soles_lie_where_the_fit_says),
     cmocka_unit_test(states_go_to_the_clip_and_back),
     cmocka_unit_test(a_root_above_the_pelvis_carries_the_position),
+    cmocka_unit_test(a_senseless_sole_is_replaced),
+    cmocka_unit_test(captured_skeletons_make_sound_bodies),
     cmocka_unit_test(refused_memory_leaves_nothing_behind),
     cmocka_unit_test(a_skeleton_without_size_is_refused),
   };
