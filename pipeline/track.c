@@ -41,6 +41,7 @@ static const double PLANTED_WEIGHT = 1e4; /* kg; rho_p                          
 static const double SPREAD_WEIGHT = 1e-4; /* eps over the mass: spreads force over the points */
 static const double CATCH_SHARE = 0.3;    /* of the way to its place, per step, that a planted
                                                point is asked to go while it is in the air      */
+static const double KEEP_OUT_SHARE = 0.7;   /* of the way out, per step, for what must not touch */
 static const double FORCE_TOLERANCE_N = 0.01;
 
 /* A point that may carry force in this step. */
@@ -48,6 +49,7 @@ typedef struct support {
   int point;
   kg_vec3 x, normal;
   double phi;
+  double floor; /* kept out: the least distance asked for, m */
 } support;
 
 typedef struct tracker {
@@ -70,8 +72,10 @@ typedef struct tracker {
   double *last_force; /* (points, EDGES) of the last step, N           */
   kg_vec3 *p;
   kg_mat3 *R;
-  int support_count;
-  support supports[MAX_CONTACTS];
+  bool *is_planted;                 /* (points) in this step                         */
+  bool foot_planted[2];
+  int support_count, kept_out_count;
+  support supports[MAX_CONTACTS], kept_out[MAX_CONTACTS];
   double edges[6][MAX_EDGES]; /* root wrench of a unit force along each edge   */
   kg_vec3 edge_direction[MAX_EDGES];
   double force[MAX_EDGES]; /* N, chosen                                     */
@@ -124,10 +128,49 @@ static kg_vec3 point_at(const tracker *s, int point)
 
 /* ---- 2. the choice of accelerations, forces and wrench ------------------------------------------ */
 
-/* points of the predicted pose within the contact layer; of many, the lowest */
+static int foot_of(const kg_body *body, int segment)
+{
+  const int role = body->segments[segment].role;
+  return role == KG_ROLE_L_ANKLE || role == KG_ROLE_L_TOE   ? 0
+         : role == KG_ROLE_R_ANKLE || role == KG_ROLE_R_TOE ? 1
+                                                            : -1;
+}
+
+/* which points the reference holds in frame k */
+static void read_planted(tracker *s, int k)
+{
+  memset(s->is_planted, 0, (size_t)s->body->point_count * sizeof *s->is_planted);
+  s->foot_planted[0] = s->foot_planted[1] = false;
+  for (int i = 0; i < s->reference->planted_count[k]; i++) {
+    const int point = s->reference->planted[k * KG_MAX_PLANTED + i].point;
+    const int foot = foot_of(s->body, s->body->points[point].segment);
+    s->is_planted[point] = true;
+    if (foot >= 0) {
+      s->foot_planted[foot] = true;
+    }
+  }
+}
+
+static void add_support(tracker *s, const support *new)
+{
+  if (s->support_count < MAX_CONTACTS) {
+    s->supports[s->support_count++] = *new;
+    return;
+  }
+  int highest = 0;
+  for (int i = 1; i < MAX_CONTACTS; i++) {
+    highest = s->supports[i].phi > s->supports[highest].phi ? i : highest;
+  }
+  if (new->phi < s->supports[highest].phi) {
+    s->supports[highest] = *new;
+  }
+}
+
+/* Points of the predicted pose within the contact layer may carry force, of many the lowest. Points
+ * of a foot may not unless they are planted: a foot in the air is kept out of the layer instead. */
 static void find_supports(tracker *s)
 {
-  s->support_count = 0;
+  s->support_count = s->kept_out_count = 0;
   for (int k = 0; k < s->body->point_count; k++) {
     support new = {.point = k, .x = point_at(s, k)};
     const kg_sdf_value value = kg_scene_distance(&s->subject->scene, new.x);
@@ -136,16 +179,17 @@ static void find_supports(tracker *s)
     if (new.phi >= s->def->contact.layer) {
       continue;
     }
-    if (s->support_count < MAX_CONTACTS) {
-      s->supports[s->support_count++] = new;
-      continue;
+    const int foot = foot_of(s->body, s->body->points[k].segment);
+    if (foot < 0 || s->is_planted[k]) {
+      add_support(s, &new);
     }
-    int highest = 0;
-    for (int i = 1; i < MAX_CONTACTS; i++) {
-      highest = s->supports[i].phi > s->supports[highest].phi ? i : highest;
-    }
-    if (new.phi < s->supports[highest].phi) {
-      s->supports[highest] = new;
+    if (!s->is_planted[k] && s->kept_out_count < MAX_CONTACTS) {
+      /* beside planted points of the same foot, and elsewhere on the body: not below rest height */
+      new.floor = foot >= 0 && !s->foot_planted[foot] ? s->def->contact.layer
+                                                      : s->params->rest_height;
+      if (new.phi < new.floor) {
+        s->kept_out[s->kept_out_count++] = new;
+      }
     }
   }
 }
@@ -238,6 +282,29 @@ static void add_planted(tracker *s, int k)
       for (int b = 0; b < n; b++) {
         s->H[row + (size_t)columns[b]] +=
           PLANTED_WEIGHT * (J[0][a] * J[0][b] + J[1][a] * J[1][b] + J[2][a] * J[2][b]);
+      }
+    }
+  }
+}
+
+/* the same for points kept out, along the normal only: n'J (v + h a) = u_n */
+static void add_kept_out(tracker *s)
+{
+  const int nv = s->body->nv;
+  for (int i = 0; i < s->kept_out_count; i++) {
+    const support *out = &s->kept_out[i];
+    double J[3][195], row[195];
+    int columns[195];
+    const int n = point_rows(s, s->body->points[out->point].segment, out->x, J, columns);
+    double e = KEEP_OUT_SHARE / s->h * (out->floor - out->phi) / s->h;
+    for (int c = 0; c < n; c++) {
+      row[c] = out->normal.x * J[0][c] + out->normal.y * J[1][c] + out->normal.z * J[2][c];
+    }
+    for (int a = 0; a < n; a++) {
+      s->g[columns[a]] += PLANTED_WEIGHT * row[a] * e;
+      for (int b = 0; b < n; b++) {
+        s->H[(size_t)columns[a] * (size_t)nv + (size_t)columns[b]] +=
+          PLANTED_WEIGHT * row[a] * row[b];
       }
     }
   }
@@ -338,6 +405,7 @@ static void choose(tracker *s, int k)
   const int nv = s->body->nv;
   const size_t n = (size_t)nv;
   predict(s);
+  read_planted(s, k);
   find_supports(s);
   list_edges(s);
   kg_dynamics_mass_matrix(s->dynamics, s->M, s->q_next);
@@ -348,6 +416,7 @@ static void choose(tracker *s, int k)
     s->H[i * n + i] += s->stiffness[i];
   }
   add_planted(s, k);
+  add_kept_out(s);
   double K[36];
   wrench_compliance(s, K);
   if (!kg_dense_cholesky_factor(s->H, nv)) {
@@ -420,14 +489,6 @@ static void find_torques(tracker *s)
 }
 
 /* ---- 3. and 4. the step and the correction ----------------------------------------------------- */
-
-static int foot_of(const kg_body *body, int segment)
-{
-  const int role = body->segments[segment].role;
-  return role == KG_ROLE_L_ANKLE || role == KG_ROLE_L_TOE   ? 0
-         : role == KG_ROLE_R_ANKLE || role == KG_ROLE_R_TOE ? 1
-                                                            : -1;
-}
 
 /* sums over the contacts of a step: forces of the feet with centre of pressure, and the others */
 static void record_contacts(tracker *s, int t, const kg_step_report *report)
@@ -636,6 +697,7 @@ static kg_status tracker_create(tracker *s, kg_arena *arena)
   s->M = KG_ARENA_ARRAY(arena, double, nv *nv);
   s->H = KG_ARENA_ARRAY(arena, double, nv *nv);
   s->HB = KG_ARENA_ARRAY(arena, double, 6 * nv);
+  s->is_planted = KG_ARENA_ARRAY(arena, bool, s->body->point_count);
   s->last_force = KG_ARENA_ARRAY(arena, double, EDGES * s->body->point_count);
   s->p = KG_ARENA_ARRAY(arena, kg_vec3, s->body->segment_count);
   s->R = KG_ARENA_ARRAY(arena, kg_mat3, s->body->segment_count);
