@@ -54,6 +54,7 @@ typedef struct kg_reference {
   double *q;                 /* (N, nq)                                                      */
   int *planted_count;        /* (N)                                               */
   kg_planted_point *planted; /* (N, KG_MAX_PLANTED)                               */
+  double *clearance;         /* (N, 2) what a foot in the air must keep from the ground, m */
 } kg_reference;
 
 /* Arrays come from the arena. KG_ERR_NO_MEMORY. */

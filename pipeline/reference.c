@@ -269,19 +269,23 @@ static void plant_group(builder *b, point_group *group)
   }
 }
 
-/* distance that a point k must keep from the ground at t: full clearance for a foot in the air,
- * gained with the clearance speed before and after a stance */
+/* distance that a foot in the air must keep from the ground: full clearance, gained with the
+ * clearance speed before and after a stance */
+static double air_clearance(const builder *b, int away)
+{
+  return away == 0 ? 0.0
+                   : fmin(b->params->clearance,
+                          b->params->rest_height + b->params->clearance_speed * away * b->dt);
+}
+
 static double needed_clearance(const builder *b, const point_group *group, const int *away, int t,
                                int k)
 {
   if (group->is_hand || group->planted[t * group->count + k]) {
     return 0.0;
   }
-  if (away[t] == 0) { /* another point of the foot is planted */
-    return 0.5 * b->params->rest_height;
-  }
-  return fmin(b->params->clearance,
-              b->params->rest_height + b->params->clearance_speed * away[t] * b->dt);
+  /* another point of the foot may be planted */
+  return away[t] == 0 ? 0.5 * b->params->rest_height : air_clearance(b, away[t]);
 }
 
 /* frames to the nearest frame in which the group is planted */
@@ -367,6 +371,9 @@ static void displace_points(builder *b, int *away)
     frames_away(b, group, away);
     fill_along(b, group, tau4);
     fill_up(b, group, away, tau4);
+    for (int t = 0; t < b->count && !group->is_hand; t++) {
+      b->reference->clearance[2 * t + g] = air_clearance(b, away[t]);
+    }
   }
 }
 
@@ -609,6 +616,8 @@ kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject
   reference->q = KG_ARENA_ARRAY(arena, double, (size_t)count *(size_t)subject->body->nq);
   reference->planted_count = KG_ARENA_ARRAY(arena, int, count);
   reference->planted = KG_ARENA_ARRAY(arena, kg_planted_point, (size_t)count * KG_MAX_PLANTED);
+
+  reference->clearance = KG_ARENA_ARRAY(arena, double, (size_t)count * 2);
 
   kg_arena scratch;
   kg_arena_init(&scratch, arena->allocator);

@@ -74,6 +74,7 @@ typedef struct tracker {
   kg_mat3 *R;
   bool *is_planted;                 /* (points) in this step                         */
   bool foot_planted[2];
+  double clearance[2];              /* m, of a foot in the air                       */
   int support_count, kept_out_count;
   support supports[MAX_CONTACTS], kept_out[MAX_CONTACTS];
   double edges[6][MAX_EDGES]; /* root wrench of a unit force along each edge   */
@@ -141,6 +142,8 @@ static void read_planted(tracker *s, int k)
 {
   memset(s->is_planted, 0, (size_t)s->body->point_count * sizeof *s->is_planted);
   s->foot_planted[0] = s->foot_planted[1] = false;
+  s->clearance[0] = s->reference->clearance[2 * k];
+  s->clearance[1] = s->reference->clearance[2 * k + 1];
   for (int i = 0; i < s->reference->planted_count[k]; i++) {
     const int point = s->reference->planted[k * KG_MAX_PLANTED + i].point;
     const int foot = foot_of(s->body, s->body->points[point].segment);
@@ -176,20 +179,15 @@ static void find_supports(tracker *s)
     const kg_sdf_value value = kg_scene_distance(&s->subject->scene, new.x);
     new.phi = value.distance;
     new.normal = value.normal;
-    if (new.phi >= s->def->contact.layer) {
-      continue;
-    }
     const int foot = foot_of(s->body, s->body->points[k].segment);
-    if (foot < 0 || s->is_planted[k]) {
+    const bool in_air = foot >= 0 && !s->foot_planted[foot];
+    if (new.phi < s->def->contact.layer && (foot < 0 || s->is_planted[k])) {
       add_support(s, &new);
     }
-    if (!s->is_planted[k] && s->kept_out_count < MAX_CONTACTS) {
-      /* beside planted points of the same foot, and elsewhere on the body: not below rest height */
-      new.floor = foot >= 0 && !s->foot_planted[foot] ? s->def->contact.layer
-                                                      : s->params->rest_height;
-      if (new.phi < new.floor) {
-        s->kept_out[s->kept_out_count++] = new;
-      }
+    /* beside planted points of the same foot, and elsewhere on the body: not below rest height */
+    new.floor = in_air ? s->clearance[foot] : s->params->rest_height;
+    if (!s->is_planted[k] && new.phi < new.floor && s->kept_out_count < MAX_CONTACTS) {
+      s->kept_out[s->kept_out_count++] = new;
     }
   }
 }
