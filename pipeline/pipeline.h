@@ -43,6 +43,7 @@ typedef struct kg_planted_point {
   int point;      /* index into body->points */
   kg_vec3 x;      /* where it is held, m     */
   kg_vec3 normal; /* of the ground           */
+  bool rolls;     /* carries, but is not held: part of a body that lies or rolls */
 } kg_planted_point;
 
 enum { KG_MAX_PLANTED = 16 };
@@ -67,8 +68,8 @@ KG_MUST_USE kg_status kg_reference_create(kg_reference *reference, const kg_subj
 /* Moves the root of the reference so that forces at its planted points can explain its momentum.
  * KG_ERR_NO_MEMORY. */
 KG_MUST_USE kg_status kg_plan_momentum(kg_reference *reference, const kg_subject *subject,
-                                       double gravity, double friction,
-                                       const kg_allocator *allocator);
+                                       const kg_track_params *params, double gravity,
+                                       double friction, const kg_allocator *allocator);
 
 /* ---- track.c, smooth.c: the methods of kg_correct ---------------------------------------------- */
 

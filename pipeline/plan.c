@@ -36,9 +36,6 @@ static const double MOVE_M = 0.02; /* standard deviations of the plan           
 static const double TURN_RAD = 0.04;
 static const double MOVE_ACCELERATION = 4.0; /* m/s^2                                       */
 static const double TURN_ACCELERATION = 8.0; /* rad/s^2                                     */
-static const double MISSING_FORCE = 0.15;    /* m/s^2: residual force over mass             */
-static const double MISSING_MOMENT = 0.3;    /* rad/s^2: residual moment over inertia       */
-static const double FRICTION_SHARE = 0.7;    /* of the cone that a plan may use             */
 
 typedef struct frame_plan {
   double w[6]; /* scaled wrench of the reference (force, moment about the com)  */
@@ -52,6 +49,7 @@ typedef struct frame_plan {
 
 typedef struct planner {
   const kg_subject *subject;
+  const kg_track_params *params;
   int count;
   double h, mass, inertia, gravity, friction;
   frame_plan *frames;
@@ -62,12 +60,12 @@ typedef struct planner {
 
 static double force_scale(const planner *s)
 {
-  return 1.0 / (s->mass * MISSING_FORCE);
+  return 1.0 / (s->mass * s->params->plan_force);
 }
 
 static double moment_scale(const planner *s)
 {
-  return 1.0 / (s->inertia * MISSING_MOMENT);
+  return 1.0 / (s->inertia * s->params->plan_moment);
 }
 
 /* ---- the reference's wrenches ------------------------------------------------------------------ */
@@ -114,7 +112,7 @@ static void read_wrenches(planner *s, const kg_reference *reference, kg_dynamics
 static void read_edges(planner *s, const kg_reference *reference, int k, kg_vec3 com)
 {
   frame_plan *f = &s->frames[k];
-  const double mu = s->friction * FRICTION_SHARE;
+  const double mu = s->friction * s->params->friction_share;
   f->edge_count = EDGES * reference->planted_count[k];
   for (int i = 0; i < reference->planted_count[k]; i++) {
     const kg_planted_point *point = &reference->planted[k * KG_MAX_PLANTED + i];
@@ -394,13 +392,15 @@ static void apply(planner *s, kg_reference *reference, const kg_centroid *c)
   }
 }
 
-kg_status kg_plan_momentum(kg_reference *reference, const kg_subject *subject, double gravity,
-                           double friction, const kg_allocator *allocator)
+kg_status kg_plan_momentum(kg_reference *reference, const kg_subject *subject,
+                           const kg_track_params *params, double gravity, double friction,
+                           const kg_allocator *allocator)
 {
   kg_arena arena;
   kg_arena_init(&arena, allocator);
   const size_t N = (size_t)reference->count;
   planner s = {.subject = subject,
+               .params = params,
                .count = reference->count,
                .h = reference->dt,
                .gravity = gravity,

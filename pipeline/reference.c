@@ -25,7 +25,15 @@ enum { MAX_GROUPS = 4, IK_ITERATIONS = 4, CLEARANCE_ROUNDS = 4, PLAN_ROUNDS = 2 
 
 static const double PLANT_HYSTERESIS = 1.5; /* a planted point may be this much faster           */
 static const double SHORTEST_PLANT_S = 0.03;
-static const double HAND_SOLE_M = 0.005;    /* points of a hand this near its lowest carry force  */
+static const double HAND_SOLE_M = 0.005; /* points of a hand this near its lowest carry force  */
+static const double NEED_SMOOTHING_HZ = 6.0; /* of the centre of mass                             */
+static const double NEEDED_SHARE = 0.35;   /* of the weight: less than this is flight            */
+static const double PIVOT_HEIGHT_M = 0.06; /* of the lowest point of a foot that may carry       */
+static const double PIVOT_FLAT_M = 0.012;  /* above it, still a candidate                        */
+static const double PIVOT_SPEED = 1.2;     /* m/s                                                */
+static const double BODY_HEIGHT_M = 0.10;  /* of a body that lies or rolls                       */
+static const double BODY_FLAT_M = 0.01;
+static const double BODY_ERROR_M = 2e-3;
 static const double DATA_WEIGHT = 1e7;      /* of a stance frame over one that fades              */
 static const double POINT_ERROR_M = 5e-4;   /* standard deviations of the inverse kinematics:     */
 static const double ROOT_MOVE_M = 0.02;     /* root position                                      */
@@ -62,6 +70,12 @@ typedef struct builder {
   kg_vec3 *p; /* pose scratch, one per segment */
   kg_mat3 *R;
   bool planned;
+  kg_vec3 *com;     /* (N) of the capture, smoothed                         */
+  bool *needed;     /* (N) a support is needed                              */
+  bool *carried;    /* (N) by something that is neither foot nor hand       */
+  double *rise;     /* (N) of the body's lowest points, m                   */
+  double *rest_low; /* (N) their distance in the capture, m                 */
+  bool *in_group;   /* (segments) foot or hand                              */
   kg_smoother smoother;
   double *work, *weights, *H, *g, *pose;
   double *moved; /* (N, nv) */
@@ -98,6 +112,12 @@ static void smooth_states(builder *b)
 }
 
 /* ---- 2. planted points ----------------------------------------------------------------------- */
+
+static kg_vec3 body_point(const builder *b, int k)
+{
+  const kg_body_point *point = &b->body->points[k];
+  return kg_vec3_add(b->p[point->segment], kg_mat3_mul_vec(b->R[point->segment], point->p));
+}
 
 static void read_points(builder *b)
 {
@@ -185,6 +205,97 @@ static bool any_planted(const point_group *group, int t)
     }
   }
   return false;
+}
+
+/* Frames in which the captured centre of mass needs a support: its acceleration is far from that of
+ * free fall. */
+static void find_needed(builder *b, double gravity)
+{
+  const size_t nq = (size_t)b->body->nq;
+  kg_vec3 *com = b->com;
+  for (int t = 0; t < b->count; t++) {
+    com[t] = kg_dynamics_centroid(b->dynamics, b->reference->q + (size_t)t * nq, NULL).com;
+  }
+  for (int c = 0; c < 3; c++) {
+    kg_filter_lowpass(&com[0].x + c, b->count, 3, 1.0 / b->dt, NEED_SMOOTHING_HZ, b->work);
+  }
+  for (int t = 0; t < b->count; t++) {
+    const int m = t < 1 ? 1 : t + 1 < b->count ? t : b->count - 2;
+    double fall = 0.0;
+    if (b->count >= 3) {
+      fall = (com[m + 1].y - 2.0 * com[m].y + com[m - 1].y) / (b->dt * b->dt);
+    }
+    b->needed[t] = fall + gravity > NEEDED_SHARE * gravity;
+  }
+}
+
+/* A foot that turns on its ball moves, but it carries the body: where a support is needed and nothing
+ * is planted, the slowest of the lowest points of the lowest foot or hand becomes the pivot. */
+static void find_pivots(builder *b)
+{
+  for (int t = 0; t < b->count; t++) {
+    point_group *lowest = NULL;
+    double low = PIVOT_HEIGHT_M;
+    bool held = !b->needed[t];
+    for (int g = 0; g < b->group_count; g++) {
+      held = held || any_planted(&b->groups[g], t);
+      const double phi = lowest_of_group(&b->groups[g], t);
+      if (phi < low) {
+        low = phi;
+        lowest = &b->groups[g];
+      }
+    }
+    if (held || !lowest) {
+      continue;
+    }
+    int pivot = -1;
+    double slowest = PIVOT_SPEED;
+    for (int k = 0; k < lowest->count; k++) {
+      const int at = t * lowest->count + k;
+      if (lowest->phi[at] < low + PIVOT_FLAT_M) {
+        const bool before = t > 0 && lowest->planted[at - lowest->count];
+        const double speed = point_speed(b, lowest, t, k) / (before ? PLANT_HYSTERESIS : 1.0);
+        pivot = speed < slowest ? k : pivot;
+        slowest = fmin(slowest, speed);
+      }
+    }
+    if (pivot >= 0) {
+      lowest->planted[t * lowest->count + pivot] = true;
+    }
+  }
+}
+
+/* lowest point of the body apart from feet and hands, at the pose in b->p, b->R */
+static double lowest_of_body(const builder *b)
+{
+  double low = INFINITY;
+  for (int k = b->body->sole_node_count; k < b->body->point_count; k++) {
+    if (!b->in_group[b->body->points[k].segment]) {
+      low = fmin(low, kg_scene_distance(&b->subject->scene, body_point(b, k)).distance);
+    }
+  }
+  return low;
+}
+
+/* How far the body must move along the normal so that what it lies or rolls on touches the ground, and
+ * so that nothing of it is in the ground; smooth in between. */
+static void find_rises(builder *b, double tau4)
+{
+  for (int t = 0; t < b->count; t++) {
+    kg_dynamics_pose(b->dynamics, b->reference->q + (size_t)t * (size_t)b->body->nq, b->p, b->R);
+    const double low = lowest_of_body(b);
+    bool held = false;
+    for (int g = 0; g < b->group_count; g++) {
+      held = held || any_planted(&b->groups[g], t);
+    }
+    const double rise = b->params->rest_height - low;
+    b->carried[t] = b->needed[t] && !held && low < BODY_HEIGHT_M;
+    b->weights[t] = b->carried[t] || rise > 0.0 ? DATA_WEIGHT : 0.0;
+    b->rise[t] = b->weights[t] * rise;
+    b->rest_low[t] = low;
+  }
+  kg_smoother_factor(&b->smoother, b->weights, tau4);
+  kg_smoother_solve(&b->smoother, b->rise, 1);
 }
 
 /* ---- 3. displacements ------------------------------------------------------------------------ */
@@ -361,8 +472,6 @@ static void displace_points(builder *b, int *away)
   const double tau4 = pow(b->params->ease_time / b->dt, 4.0);
   for (int g = 0; g < b->group_count; g++) {
     point_group *group = &b->groups[g];
-    find_planted(b, group);
-    clean_planted(b, group);
     group->ever_planted = !group->is_hand;
     for (int t = 0; t < b->count && !group->ever_planted; t++) {
       group->ever_planted = any_planted(group, t);
@@ -463,6 +572,28 @@ static void assemble_targets(builder *b, const double *q, int t)
   }
 }
 
+/* the same along the normal only, for the lowest points of the body in a frame that rises */
+static void assemble_rise(builder *b, int t)
+{
+  if (fabs(b->rise[t]) < 1e-4) {
+    return;
+  }
+  const double low = lowest_of_body(b);
+  const double target = b->rest_low[t] + b->rise[t]; /* where the lowest point should be */
+  for (int k = b->body->sole_node_count; k < b->body->point_count; k++) {
+    const int segment = b->body->points[k].segment;
+    if (b->in_group[segment]) {
+      continue;
+    }
+    const kg_vec3 x = body_point(b, k);
+    const kg_sdf_value value = kg_scene_distance(&b->subject->scene, x);
+    if (value.distance < low + BODY_FLAT_M) {
+      const kg_vec3 e = kg_vec3_scale(target - low, value.normal);
+      add_target(b, segment, x, e, 1.0 / (BODY_ERROR_M * BODY_ERROR_M));
+    }
+  }
+}
+
 /* moved: the change of the pose q[nq] that minimises targets and prior; in: a start, out */
 static void solve_pose(builder *b, const double *q, int t, double *moved)
 {
@@ -473,6 +604,7 @@ static void solve_pose(builder *b, const double *q, int t, double *moved)
     memset(b->H, 0, (size_t)nv * (size_t)nv * sizeof *b->H);
     memset(b->g, 0, (size_t)nv * sizeof *b->g);
     assemble_targets(b, pose, t);
+    assemble_rise(b, t);
     add_prior(b, moved);
     if (!kg_dense_cholesky_factor(b->H, nv)) {
       return;
@@ -504,7 +636,7 @@ static void solve_poses(builder *b)
     } else {
       memset(moved, 0, nv * sizeof *moved);
     }
-    if (b->planned || largest_displacement(b, t) > 1e-6) {
+    if (b->planned || fabs(b->rise[t]) > 1e-4 || largest_displacement(b, t) > 1e-6) {
       solve_pose(b, b->reference->q + (size_t)t * nq, t, moved);
     } else {
       memset(moved, 0, nv * sizeof *moved);
@@ -521,6 +653,22 @@ static void solve_poses(builder *b)
 
 /* ---- 5. plan ----------------------------------------------------------------------------------- */
 
+/* The lowest points of a body that lies or rolls: they carry, but nothing holds them. */
+static int list_carriers(builder *b, int t, int n)
+{
+  kg_dynamics_pose(b->dynamics, b->reference->q + (size_t)t * (size_t)b->body->nq, b->p, b->R);
+  const double low = lowest_of_body(b);
+  for (int k = b->body->sole_node_count; k < b->body->point_count && n < KG_MAX_PLANTED; k++) {
+    const kg_vec3 x = body_point(b, k);
+    const kg_sdf_value value = kg_scene_distance(&b->subject->scene, x);
+    if (!b->in_group[b->body->points[k].segment] && value.distance < low + BODY_FLAT_M) {
+      b->reference->planted[t * KG_MAX_PLANTED + n++] =
+        (kg_planted_point){.point = k, .x = x, .normal = value.normal, .rolls = true};
+    }
+  }
+  return n;
+}
+
 /* The planted points of a frame; of a hand only the lowest, its surface is sampled densely. */
 static void list_planted(builder *b)
 {
@@ -534,12 +682,12 @@ static void list_planted(builder *b)
         const bool carries = !group->is_hand || group->phi[at] < lowest + HAND_SOLE_M;
         if (group->planted[at] && carries && n < KG_MAX_PLANTED) {
           const kg_vec3 d = kg_vec3_add_scaled(group->along[at], group->up[at], group->normal[at]);
-          b->reference->planted[t * KG_MAX_PLANTED + n++] =
-            (kg_planted_point){group->points[k], kg_vec3_add(group->x[at], d), group->normal[at]};
+          b->reference->planted[t * KG_MAX_PLANTED + n++] = (kg_planted_point){
+            group->points[k], kg_vec3_add(group->x[at], d), group->normal[at], false};
         }
       }
     }
-    b->reference->planted_count[t] = n;
+    b->reference->planted_count[t] = b->carried[t] ? list_carriers(b, t, n) : n;
   }
 }
 
@@ -588,12 +736,25 @@ static void add_groups(builder *b, kg_arena *arena)
   }
 }
 
+/* feet whole, hands whole */
+static void mark_group_segments(builder *b)
+{
+  const kg_role roles[] = {KG_ROLE_L_ANKLE, KG_ROLE_L_TOE,   KG_ROLE_R_ANKLE,
+                           KG_ROLE_R_TOE,   KG_ROLE_L_WRIST, KG_ROLE_R_WRIST};
+  for (size_t i = 0; b->in_group && i < KG_COUNT_OF(roles); i++) {
+    const int segment = b->body->segment_of_role[roles[i]];
+    if (segment >= 0) {
+      b->in_group[segment] = true;
+    }
+  }
+}
+
 static bool builder_create(builder *b, kg_arena *arena)
 {
   const size_t N = (size_t)b->count, nq = (size_t)b->body->nq, nv = (size_t)b->body->nv;
   b->p = KG_ARENA_ARRAY(arena, kg_vec3, b->body->segment_count);
   b->R = KG_ARENA_ARRAY(arena, kg_mat3, b->body->segment_count);
-  const double lowest_hz = fmin(b->params->smoothing_hz, IK_SMOOTHING_HZ);
+  const double lowest_hz = fmin(b->params->smoothing_hz, fmin(IK_SMOOTHING_HZ, NEED_SMOOTHING_HZ));
   const size_t filter = kg_filter_work_size(b->count, 1.0 / b->dt, lowest_hz);
   b->work = KG_ARENA_ARRAY(arena, double, filter > 2 * N ? filter : 2 * N);
   b->weights = KG_ARENA_ARRAY(arena, double, N);
@@ -601,8 +762,15 @@ static bool builder_create(builder *b, kg_arena *arena)
   b->g = KG_ARENA_ARRAY(arena, double, nv);
   b->pose = KG_ARENA_ARRAY(arena, double, nq);
   b->moved = KG_ARENA_ARRAY(arena, double, N *nv);
+  b->com = KG_ARENA_ARRAY(arena, kg_vec3, N);
+  b->needed = KG_ARENA_ARRAY(arena, bool, N);
+  b->carried = KG_ARENA_ARRAY(arena, bool, N);
+  b->rise = KG_ARENA_ARRAY(arena, double, N);
+  b->rest_low = KG_ARENA_ARRAY(arena, double, N);
+  b->in_group = KG_ARENA_ARRAY(arena, bool, b->body->segment_count);
   kg_smoother_create(&b->smoother, b->count, arena);
   add_groups(b, arena);
+  mark_group_segments(b);
   return !kg_arena_failed(arena);
 }
 
@@ -635,13 +803,20 @@ kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject
     resample(&b);
     smooth_states(&b);
     read_points(&b);
+    for (int g = 0; g < b.group_count; g++) {
+      find_planted(&b, &b.groups[g]);
+      clean_planted(&b, &b.groups[g]);
+    }
+    find_needed(&b, gravity);
+    find_pivots(&b);
+    find_rises(&b, pow(params->ease_time / b.dt, 4.0));
     displace_points(&b, away);
     solve_poses(&b);
     list_planted(&b);
     b.planned = true;
   }
   for (int round = 0; status == KG_OK && round < PLAN_ROUNDS; round++) {
-    status = kg_plan_momentum(reference, subject, gravity, friction, arena->allocator);
+    status = kg_plan_momentum(reference, subject, params, gravity, friction, arena->allocator);
     if (status == KG_OK) {
       solve_poses(&b);
     }

@@ -41,7 +41,7 @@ static const double PLANTED_WEIGHT = 1e4; /* kg; rho_p                          
 static const double SPREAD_WEIGHT = 1e-4; /* eps over the mass: spreads force over the points */
 static const double CATCH_SHARE = 0.3;    /* of the way to its place, per step, that a planted
                                                point is asked to go while it is in the air      */
-static const double KEEP_OUT_SHARE = 0.7;   /* of the way out, per step, for what must not touch */
+static const double KEEP_OUT_SHARE = 0.7; /* of the way out, per step, for what must not touch */
 static const double FORCE_TOLERANCE_N = 0.01;
 
 /* A point that may carry force in this step. */
@@ -72,9 +72,9 @@ typedef struct tracker {
   double *last_force; /* (points, EDGES) of the last step, N           */
   kg_vec3 *p;
   kg_mat3 *R;
-  bool *is_planted;                 /* (points) in this step                         */
+  bool *is_planted; /* (points) in this step                         */
   bool foot_planted[2];
-  double clearance[2];              /* m, of a foot in the air                       */
+  double clearance[2]; /* m, of a foot in the air                       */
   int support_count, kept_out_count;
   support supports[MAX_CONTACTS], kept_out[MAX_CONTACTS];
   double edges[6][MAX_EDGES]; /* root wrench of a unit force along each edge   */
@@ -146,6 +146,9 @@ static void read_planted(tracker *s, int k)
   s->clearance[1] = s->reference->clearance[2 * k + 1];
   for (int i = 0; i < s->reference->planted_count[k]; i++) {
     const int point = s->reference->planted[k * KG_MAX_PLANTED + i].point;
+    if (s->reference->planted[k * KG_MAX_PLANTED + i].rolls) {
+      continue;
+    }
     const int foot = foot_of(s->body, s->body->points[point].segment);
     s->is_planted[point] = true;
     if (foot >= 0) {
@@ -184,8 +187,10 @@ static void find_supports(tracker *s)
     if (new.phi < s->def->contact.layer && (foot < 0 || s->is_planted[k])) {
       add_support(s, &new);
     }
-    /* beside planted points of the same foot, and elsewhere on the body: not below rest height */
-    new.floor = in_air ? s->clearance[foot] : s->params->rest_height;
+    /* beside planted points of the same foot: out of the layer; elsewhere: not below rest height */
+    new.floor = in_air      ? s->clearance[foot]
+                : foot >= 0 ? s->def->contact.layer
+                            : s->params->rest_height;
     if (!s->is_planted[k] && new.phi < new.floor && s->kept_out_count < MAX_CONTACTS) {
       s->kept_out[s->kept_out_count++] = new;
     }
@@ -262,6 +267,9 @@ static void add_planted(tracker *s, int k)
   const int nv = s->body->nv;
   for (int i = 0; i < s->reference->planted_count[k]; i++) {
     const kg_planted_point *planted = &s->reference->planted[k * KG_MAX_PLANTED + i];
+    if (planted->rolls) {
+      continue;
+    }
     const kg_vec3 x = point_at(s, planted->point);
     const double phi = kg_scene_distance(&s->subject->scene, x).distance;
     const kg_vec3 target = planted_velocity(s, planted, x, phi);
@@ -642,6 +650,7 @@ static void run(tracker *s)
   const size_t nq = (size_t)s->body->nq, nv = (size_t)s->body->nv;
   const double frame = s->subject->dt / s->h;
   memcpy(s->q, s->reference->q, nq * sizeof *s->q);
+  (void)kg_correction_apply(s->correction, s->q, NULL, NULL);
   memcpy(out->q, s->q, nq * sizeof *s->q);
   if (s->reference->count > 1) {
     kg_body_difference(s->body, s->v, s->reference->q + nq, s->reference->q);

@@ -24,78 +24,81 @@ typedef bool kg_progress_fn(double share, const char *stage, void *user);
 /* Everything that was tuned, in one place; defaults in kg_track_default_params(). How they were
  * chosen, and their scores on clips they were not tuned on: docs/design/003-track.md. */
 typedef struct kg_track_params {
-  double smoothing_hz;       /* zero-lag low-pass of the capture before anything else          */
-  double plant_speed;        /* m/s; a point slower than this and low is planted               */
-  double plant_height;       /* m; above the ground, in the capture                            */
-  double plant_flat;         /* m; above the lowest point of its foot                          */
-  double rest_height;        /* m; Phi of a planted point in the reference                     */
-  double clearance;          /* m; of a foot in the air                                        */
-  double clearance_speed;    /* m/s; at which the clearance is gained                          */
-  double ease_time;          /* s; over which the feet's corrections fade                      */
-  double joint_frequency;    /* Hz; feedback of the joints, critically damped                  */
-  double root_frequency;     /* Hz; feedback of the root, critically damped                    */
-  double wrench_weight;      /* cost of the root wrench over that of the same acceleration     */
-  double moment_weight;      /* the same for its moment                                        */
-  double joint_damping;      /* N m s/rad; implicit velocity feedback of every joint           */
-  double leg_weight;         /* kg m^2; cost of a leg joint's deviation, beside its inertia    */
-  double trunk_weight;       /* kg m^2; the same for the other joints                          */
-  double friction_share;     /* of the friction cone that plan and controller may use          */
+  double smoothing_hz;    /* zero-lag low-pass of the capture before anything else          */
+  double plant_speed;     /* m/s; a point slower than this and low is planted               */
+  double plant_height;    /* m; above the ground, in the capture                            */
+  double plant_flat;      /* m; above the lowest point of its foot                          */
+  double rest_height;     /* m; Phi of a planted point in the reference                     */
+  double clearance;       /* m; of a foot in the air                                        */
+  double clearance_speed; /* m/s; at which the clearance is gained                          */
+  double ease_time;       /* s; over which the feet's corrections fade                      */
+  double plan_force;      /* m/s^2; residual force over mass that weighs as much in the plan as
+                                moving the body by 2 cm                                        */
+  double plan_moment;     /* rad/s^2; residual moment over inertia, the same                */
+  double joint_frequency; /* Hz; feedback of the joints, critically damped                  */
+  double root_frequency;  /* Hz; feedback of the root, critically damped                    */
+  double wrench_weight;   /* cost of the root wrench over that of the same acceleration     */
+  double moment_weight;   /* the same for its moment                                        */
+  double joint_damping;   /* N m s/rad; implicit velocity feedback of every joint           */
+  double leg_weight;      /* kg m^2; cost of a leg joint's deviation, beside its inertia    */
+  double trunk_weight;    /* kg m^2; the same for the other joints                          */
+  double friction_share;  /* of the friction cone that plan and controller may use          */
 } kg_track_params;
 
 KG_API kg_track_params kg_track_default_params(void);
 
 /* Start from kg_correct_default_def(). */
 typedef struct kg_correct_def {
-  kg_correct_method method;      /* default track                                             */
+  kg_correct_method method; /* default track                                             */
   kg_track_params track;
-  double dt;                     /* s, simulation step; 0: the frame time, or an even share of it
+  double dt;      /* s, simulation step; 0: the frame time, or an even share of it
                                     at most 0.01                                              */
-  double gravity;                /* m/s^2, default 9.8                                        */
+  double gravity; /* m/s^2, default 9.8                                        */
   kg_contact_params contact;
-  int threads;                   /* default 1; results do not depend on it                    */
-  kg_progress_fn *progress;      /* NULL: none                                                */
+  int threads;              /* default 1; results do not depend on it                    */
+  kg_progress_fn *progress; /* NULL: none                                                */
   void *progress_user;
   const kg_allocator *allocator;
 } kg_correct_def;
 
 /* Ground reaction on one foot in one frame. */
 typedef struct kg_foot_force {
-  kg_vec3 force;   /* N, world                                              */
-  kg_vec3 cop;     /* centre of pressure on the ground, m; zero when unloaded */
-  double moment;   /* N m, free moment about the ground's normal             */
+  kg_vec3 force; /* N, world                                              */
+  kg_vec3 cop;   /* centre of pressure on the ground, m; zero when unloaded */
+  double moment; /* N m, free moment about the ground's normal             */
 } kg_foot_force;
 
 /* Everything per motion frame t in [0, T). Torques and forces are those of the step that ends at
  * frame t (frame 0 repeats frame 1). */
 typedef struct kg_correct_result {
-  int frame_count;               /* T                                                          */
+  int frame_count; /* T                                                          */
   int nq, nv;
-  double *q;                     /* (T, nq) corrected states                                   */
-  double *v;                     /* (T, nv) velocities; NULL for sdf                           */
-  double *tau;                   /* (T, nv) joint torques, N m; root entries zero; NULL for sdf */
-  kg_vec3 *residual_force;       /* (T) root wrench, world axes, N; NULL for sdf               */
-  kg_vec3 *residual_moment;      /* (T) about the body's centre of mass, world axes, N m       */
-  kg_foot_force *feet;           /* (T, 2) left, right; NULL for sdf                           */
-  kg_vec3 *other_force;          /* (T) contact on anything but the feet, N; NULL for sdf      */
-  double *penetration;           /* (T) d_pen, m                                               */
-  double *correction_force;      /* (T) M dq / dt^2 and M dv / dt of the SDF loop as a force, N */
-  int *contact_count;            /* (T)                                                        */
-  bool *unexplained;             /* (T) no contact explains the motion: external support missing */
+  double *q;                /* (T, nq) corrected states                                   */
+  double *v;                /* (T, nv) velocities; NULL for sdf                           */
+  double *tau;              /* (T, nv) joint torques, N m; root entries zero; NULL for sdf */
+  kg_vec3 *residual_force;  /* (T) root wrench, world axes, N; NULL for sdf               */
+  kg_vec3 *residual_moment; /* (T) about the body's centre of mass, world axes, N m       */
+  kg_foot_force *feet;      /* (T, 2) left, right; NULL for sdf                           */
+  kg_vec3 *other_force;     /* (T) contact on anything but the feet, N; NULL for sdf      */
+  double *penetration;      /* (T) d_pen, m                                               */
+  double *correction_force; /* (T) M dq / dt^2 and M dv / dt of the SDF loop as a force, N */
+  int *contact_count;       /* (T)                                                        */
+  bool *unexplained;        /* (T) no contact explains the motion: external support missing */
 
   /* residuals (DESIGN section 10) */
-  double peak_grf;               /* N                                        */
+  double peak_grf;                                  /* N                                        */
   double residual_force_rms, residual_force_peak;   /* over peak_grf         */
   double residual_moment_rms, residual_moment_peak; /* over peak_grf * com height */
-  double correction_force_ratio; /* RMS over peak_grf                        */
+  double correction_force_ratio;                    /* RMS over peak_grf                        */
   double correction_force_ratio_peak;
   int unexplained_count;
 
   /* solver */
   long steps, steps_converged, steps_substepped, newton_iterations;
-  double newton_residual_max;    /* kg^1/2 m/s                               */
-  int *substepped_frames;        /* (substepped_count) motion frame numbers  */
+  double newton_residual_max; /* kg^1/2 m/s                               */
+  int *substepped_frames;     /* (substepped_count) motion frame numbers  */
   int substepped_count;
-  int sdf_iterations;            /* of the correction loop                   */
+  int sdf_iterations; /* of the correction loop                   */
 
   /* wall time per output frame, ms (Fig. 3) */
   double ms_encoder, ms_policy, ms_step, ms_sdf, ms_per_frame;
