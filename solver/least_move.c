@@ -15,13 +15,15 @@
 
 void least_move_init(least_move *w, int n, int rows_max, kg_arena *arena)
 {
-  const size_t square = (size_t)n * (size_t)n;
-  *w = (least_move){.n = n, .rows_max = rows_max};
+  const int most = n + 1; /* n rows fix x; one more enters before another leaves */
+  const size_t square = (size_t)most * (size_t)most;
+  *w = (least_move){.n = n, .most = most, .rows_max = rows_max};
   w->Z = KG_ARENA_ARRAY(arena, double, square);
   w->A = KG_ARENA_ARRAY(arena, double, square);
   w->factor = KG_ARENA_ARRAY(arena, double, square);
-  w->trial = KG_ARENA_ARRAY(arena, double, n);
-  w->active = KG_ARENA_ARRAY(arena, int, n);
+  w->trial = KG_ARENA_ARRAY(arena, double, most);
+  w->rest = KG_ARENA_ARRAY(arena, double, most);
+  w->active = KG_ARENA_ARRAY(arena, int, most);
   w->is_active = KG_ARENA_ARRAY(arena, bool, rows_max);
 }
 
@@ -51,15 +53,19 @@ static void compose(const least_move *w, int count, const double *lambda, double
   }
 }
 
-/* the inactive row that x violates most, or -1 */
+/* the inactive row that x violates most, or -1; *active_miss: what the active rows, which should be
+ * equalities, are violated by */
 static int most_violated(const least_move *w, const double *G, const double *b, int rows,
-                         double tolerance, const double *x)
+                         double tolerance, const double *x, double *active_miss)
 {
   int worst = -1;
   double most = tolerance;
+  *active_miss = 0.0;
   for (int r = 0; r < rows; r++) {
     const double miss = b[r] - dot(row_of(w, G, r), x, w->n);
-    if (!w->is_active[r] && miss > most) {
+    if (w->is_active[r]) {
+      *active_miss = fmax(*active_miss, miss);
+    } else if (miss > most) {
       most = miss;
       worst = r;
     }
@@ -76,43 +82,63 @@ static void enter(least_move *w, const double *L, const double *G, int row, int 
   w->active[count] = row;
   w->is_active[row] = true;
   for (int p = 0; p <= count; p++) { /* lower triangle suffices */
-    w->A[(size_t)count * (size_t)n + (size_t)p] = dot(row_of(w, G, w->active[p]), z, n);
+    w->A[(size_t)count * (size_t)w->most + (size_t)p] = dot(row_of(w, G, w->active[p]), z, n);
   }
 }
 
 /* takes active position p out: rows and columns behind it move up */
 static void leave(least_move *w, int p, int count)
 {
-  const size_t n = (size_t)w->n;
+  const size_t n = (size_t)w->n, most = (size_t)w->most;
   w->is_active[w->active[p]] = false;
   for (int i = p + 1; i < count; i++) {
-    const size_t from = (size_t)i * n, to = from - n;
-    w->active[i - 1] = w->active[i];
-    memcpy(w->Z + to, w->Z + from, n * sizeof *w->Z);
+    const size_t to = (size_t)i - 1;
+    w->active[to] = w->active[i];
+    memcpy(w->Z + to * n, w->Z + (to + 1) * n, n * sizeof *w->Z);
     for (int j = 0, k = 0; j <= i; j++) {
       if (j != p) {
-        w->A[to + (size_t)k++] = w->A[from + (size_t)j];
+        w->A[to * most + (size_t)k++] = w->A[(to + 1) * most + (size_t)j];
       }
     }
   }
 }
 
-/* trial = A_PP^-1 b_P; false when A_PP is not positive definite even with its shift */
+/* (A_PP l)_i; A holds its lower triangle */
+static double gram_row(const least_move *w, int i, const double *l, int count)
+{
+  const size_t n = (size_t)w->most;
+  double sum = 0.0;
+  for (int j = 0; j < count; j++) {
+    sum += l[j] * (j <= i ? w->A[(size_t)i * n + (size_t)j] : w->A[(size_t)j * n + (size_t)i]);
+  }
+  return sum;
+}
+
+/* trial = A_PP^-1 b_P; the shift of the factor is taken back by iterative refinement, which works
+ * wherever the rows agree. False when A_PP is not positive definite even with its shift. */
 static bool solve_active(least_move *w, const double *b, int count)
 {
   double largest = 0.0;
   for (int i = 0; i < count; i++) {
-    largest = fmax(largest, w->A[(size_t)i * (size_t)w->n + (size_t)i]);
+    largest = fmax(largest, w->A[(size_t)i * (size_t)w->most + (size_t)i]);
   }
   for (int i = 0; i < count; i++) {
-    const double *from = w->A + (size_t)i * (size_t)w->n;
+    const double *from = w->A + (size_t)i * (size_t)w->most;
     double *to = w->factor + (size_t)i * (size_t)count;
     memcpy(to, from, (size_t)(i + 1) * sizeof *to);
     to[i] += SHIFT * largest;
-    w->trial[i] = b[w->active[i]];
+    w->trial[i] = 0.0;
   }
   if (!kg_dense_cholesky_factor(w->factor, count)) return false;
-  kg_dense_cholesky_solve(w->factor, count, w->trial, 1);
+  for (int round = 0; round < 3; round++) {
+    for (int i = 0; i < count; i++) {
+      w->rest[i] = b[w->active[i]] - gram_row(w, i, w->trial, count);
+    }
+    kg_dense_cholesky_solve(w->factor, count, w->rest, 1);
+    for (int i = 0; i < count; i++) {
+      w->trial[i] += w->rest[i];
+    }
+  }
   return true;
 }
 
@@ -153,10 +179,11 @@ bool least_move_solve(least_move *w, const double *L, const double *G, const dou
   memset(lambda, 0, (size_t)rows * sizeof *lambda);
   memset(x, 0, (size_t)w->n * sizeof *x);
   int count = 0;
-  for (int pass = 0; pass < 4 * w->n; pass++) {
-    const int row = most_violated(w, G, b, rows, tolerance, x);
-    if (row < 0) return true;
-    if (count == w->n) return false;
+  for (int pass = 0; pass < 10 * w->n; pass++) {
+    double active_miss;
+    const int row = most_violated(w, G, b, rows, tolerance, x, &active_miss);
+    if (row < 0) return active_miss <= 10.0 * tolerance;
+    if (count == w->most) return false;
     enter(w, L, G, row, count++);
     count = settle(w, b, count, lambda);
     if (count < 0) return false;

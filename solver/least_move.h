@@ -11,14 +11,16 @@
 #include "kinegrad/arena.h"
 
 typedef struct least_move {
-  int n;           /* unknowns                                                     */
-  int rows_max;    /* inequalities, at most                                        */
-  double *Z;       /* (n, n) M^-1 g of the active rows                             */
-  double *A;       /* (n, n) g' M^-1 g of the active rows                          */
-  double *factor;  /* (n, n) Cholesky factor of A                                  */
-  double *trial;   /* (n) multipliers that make the active rows equalities         */
-  int *active;     /* (n) row numbers, in the order they came                      */
-  bool *is_active; /* (rows_max)                                                   */
+  int n;           /* unknowns                                      */
+  int most;        /* active rows, at most: n + 1                   */
+  int rows_max;    /* inequalities, at most                         */
+  double *Z;       /* (most, n) M^-1 g of the active rows           */
+  double *A;       /* (most, most) g' M^-1 g of the active rows     */
+  double *factor;  /* (most, most) Cholesky factor of A             */
+  double *trial;   /* (most) multipliers that make them equalities  */
+  double *rest;    /* (most) what is left of b for the refinement   */
+  int *active;     /* (most) row numbers, in the order they came    */
+  bool *is_active; /* (rows_max)                                    */
 } least_move;
 
 /* Memory from the arena; check kg_arena_failed. */

@@ -8,6 +8,7 @@
 
 #include "kinegrad/ceres.h"
 #include "kinegrad/dense.h"
+#include "solver/least_move.h"
 
 /* ---- LAPACK --------------------------------------------------------------------------------------*/
 
@@ -59,6 +60,84 @@ static void cholesky_reads_the_lower_triangle_only(void **state)
   for (int i = 0; i < 3; i++) {
     assert_close(b[i], i + 1.0, 1e-14);
   }
+}
+
+/* ---- least move under inequalities ---------------------------------------------------------------*/
+
+enum { MOVE_N = 12, MOVE_ROWS = 60 };
+
+static double row_dot(const double *a, const double *b, int n)
+{
+  double sum = 0.0;
+  for (int i = 0; i < n; i++) {
+    sum += a[i] * b[i];
+  }
+  return sum;
+}
+
+/* The conditions of optimality are sufficient, for M is positive definite: they are the answer. */
+static void least_move_satisfies_the_conditions_of_optimality(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(31);
+  kg_arena arena;
+  kg_arena_init(&arena, NULL);
+  least_move work;
+  least_move_init(&work, MOVE_N, MOVE_ROWS, &arena);
+  assert_false(kg_arena_failed(&arena));
+  int active_rows = 0;
+  for (int problem = 0; problem < 300; problem++) {
+    double B[MOVE_N * MOVE_N], M[MOVE_N * MOVE_N], L[MOVE_N * MOVE_N];
+    double G[MOVE_ROWS * MOVE_N], b[MOVE_ROWS], x[MOVE_N], lambda[MOVE_ROWS], inside[MOVE_N];
+    for (int i = 0; i < MOVE_N * MOVE_N; i++) {
+      B[i] = kg_random_normal(&random);
+    }
+    for (int i = 0; i < MOVE_N; i++) {
+      inside[i] = kg_random_normal(&random);
+      for (int j = 0; j < MOVE_N; j++) {
+        M[i * MOVE_N + j] = row_dot(B + i * MOVE_N, B + j * MOVE_N, MOVE_N) + (i == j ? 0.1 : 0.0);
+      }
+    }
+    memcpy(L, M, sizeof L);
+    assert_true(kg_dense_cholesky_factor(L, MOVE_N));
+    for (int r = 0; r < MOVE_ROWS; r++) {
+      for (int i = 0; i < MOVE_N; i++) { /* every third row repeats another one, scaled */
+        G[r * MOVE_N + i] = r % 3 == 2 ? 2.0 * G[(r - 1) * MOVE_N + i] : kg_random_normal(&random);
+      }
+      b[r] = row_dot(G + r * MOVE_N, inside, MOVE_N) - 0.5 * kg_random_uniform(&random);
+    }
+    assert_true(least_move_solve(&work, L, G, b, MOVE_ROWS, 1e-9, x, lambda));
+    for (int i = 0; i < MOVE_N; i++) { /* M x = G' lambda */
+      double force = 0.0;
+      for (int r = 0; r < MOVE_ROWS; r++) {
+        force += G[r * MOVE_N + i] * lambda[r];
+      }
+      assert_close(row_dot(M + i * MOVE_N, x, MOVE_N), force, 1e-6);
+    }
+    for (int r = 0; r < MOVE_ROWS; r++) {
+      const double slack = row_dot(G + r * MOVE_N, x, MOVE_N) - b[r];
+      assert_true(lambda[r] >= 0.0);
+      assert_at_most(-slack, 1e-8);
+      assert_true(lambda[r] == 0.0 || fabs(slack) < 1e-7);
+      active_rows += lambda[r] > 0.0;
+    }
+  }
+  assert_true(active_rows > 300);
+  kg_arena_release(&arena);
+}
+
+static void contradicting_rows_are_reported(void **state)
+{
+  (void)state;
+  kg_arena arena;
+  kg_arena_init(&arena, NULL);
+  least_move work;
+  least_move_init(&work, 2, 2, &arena);
+  const double L[4] = {1, 0, 0, 1}, G[4] = {1, 0, -1, 0}, b[2] = {1, 1}; /* x >= 1 and x <= -1 */
+  double x[2], lambda[2];
+  assert_false(least_move_solve(&work, L, G, b, 2, 1e-9, x, lambda));
+  assert_true(isfinite(x[0]) && isfinite(x[1]));
+  kg_arena_release(&arena);
 }
 
 /* ---- Ceres ---------------------------------------------------------------------------------------*/
@@ -176,6 +255,8 @@ int main(void)
     cmocka_unit_test(lu_solves_a_system_worked_by_hand),
     cmocka_unit_test(singular_matrices_are_reported),
     cmocka_unit_test(cholesky_reads_the_lower_triangle_only),
+    cmocka_unit_test(least_move_satisfies_the_conditions_of_optimality),
+    cmocka_unit_test(contradicting_rows_are_reported),
     cmocka_unit_test(finds_the_minimum_with_and_without_a_jacobian),
     cmocka_unit_test(bounds_hold_at_the_minimum),
     cmocka_unit_test(nothing_is_printed_even_when_it_fails),
