@@ -820,6 +820,10 @@ static void setting_what_is_there_changes_no_value(void **state)
     }
   }
   assert_memory_equal(before, clip->values, sizeof before);
+  clip->values[0] = before[0] = 1.123456789012345; /* more places than a changed value gets */
+  kg_clip_set_translation(clip, 0, 0,
+                          kg_vec3_scale(clip->source.unit_m, kg_vec3_make(before[0], 2, 3)));
+  assert_memory_equal(before, clip->values, sizeof before);
   /* unless the frame before has gone a whole turn further */
   clip->values[6] += 360.0;
   kg_clip_set_rotation(clip, 1, 1, clip->rotations[3], 0);
@@ -855,6 +859,10 @@ static void resampling_follows_constant_motion_exactly(void **state)
   assert_int_equal(back->frame_count, 81);
   assert_true(back->frame_time == 0.0075);
   kg_clip_destroy(back);
+  kg_clip_destroy(copy);
+  /* a last frame missed by rounding alone is there */
+  assert_int_equal(kg_clip_resample(&copy, clip, 0.02 * (1.0 + 1e-9)), KG_OK);
+  assert_int_equal(copy->frame_count, 31);
   kg_clip_destroy(copy);
   assert_int_equal(kg_clip_copy(&copy, clip), KG_OK);
   kg_clip_set_rotation(copy, 5, 1, kg_quat_exp(kg_vec3_make(1, 0, 0)), 4);
@@ -970,13 +978,13 @@ static void finds_unit_and_up_axis(void **state)
 }
 
 /* The rest pose is y up, and the root stands or lies at `root` with a quarter turn about x. */
-static kg_clip *turned_person(double x, double y, double z)
+static kg_clip *turned_person(double x, double y, double z, double turn)
 {
   text_buffer text = {0};
   add_hierarchy(&text, person, PERSON_JOINTS, 1.0, KG_UP_Y);
   text_add(&text, "MOTION\nFrames: 5\nFrame Time: 0.01\n");
   for (int t = 0; t < 5; t++) {
-    text_add(&text, "%g %g %g 0 90 0", x, y, z);
+    text_add(&text, "%g %g %g 0 %g 0", x, y, z, turn);
     for (int c = 3; c < 3 * PERSON_JOINTS; c++)
       text_add(&text, " 0");
     text_add(&text, "\n");
@@ -989,7 +997,11 @@ static kg_clip *turned_person(double x, double y, double z)
 static void tells_z_up_from_lying_on_the_floor(void **state)
 {
   (void)state;
-  kg_clip *standing = turned_person(2.0, 3.0, 0.9), *lying = turned_person(2.0, 0.1, 4.0);
+  kg_clip *standing = turned_person(2.0, 3.0, 0.9, 90.0);
+  kg_clip *lying = turned_person(2.0, 0.1, 4.0, 90.0);
+  kg_clip *lying_the_other_way = turned_person(2.0, 0.1, -0.9, -90.0);
+  assert_int_equal(lying_the_other_way->source.up, KG_UP_Y);
+  kg_clip_destroy(lying_the_other_way);
   assert_int_equal(standing->source.up, KG_UP_Z);
   assert_int_equal(lying->source.up, KG_UP_Y);
   assert_non_null(strstr(standing->source.warnings[0], "disagree on the up axis; Z is taken"));
