@@ -98,7 +98,8 @@ typedef struct kg_body_def {
   double mass_kg;                 /* default 70                                                  */
   kg_sex sex;                     /* default the mean of both                                    */
   double min_inertia;             /* lower bound of every principal inertia, kg m^2; 2e-4 */
-  bool has_feet;                  /* use `feet`; else soles from anthropometry and the rest pose */
+  bool has_feet;                  /* use `feet`; else, and where a fit makes no sense (zero or NaN
+                                     normals), soles from anthropometry and the rest pose         */
   kg_foot_fit feet[2];            /* left, right                                                 */
   const kg_allocator *allocator;
 } kg_body_def;
@@ -137,7 +138,8 @@ KG_API void kg_body_difference(const kg_body *body, double *d, const double *q_b
 
 /* The body as a MuJoCo model: free root, ball joints, explicit inertias, ground plane. KG_ERR_WRITE.
  * gravity in m/s^2. The joints' coordinates agree with ours up to MuJoCo's order of qpos (root
- * position, root quaternion, ball quaternions in segment order). */
+ * position, root quaternion, ball quaternions in segment order). Segments must be in depth-first
+ * order, as kg_body_from_clip makes them; MuJoCo wants masses and inertias above zero. */
 KG_API KG_MUST_USE kg_status kg_body_write_mjcf(const kg_body *body, const char *path,
                                                 double gravity, kg_error *error);
 
