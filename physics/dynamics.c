@@ -9,6 +9,7 @@
  * World axes; all spatial quantities about O, the root position of the call's q, which does not
  * move while differentiating. [a] is the matrix of the cross product with a, R' the transpose. */
 #include "physics/physics.h"
+#include "physics/rows.h"
 #include "physics/tree.h"
 
 #include <string.h>
@@ -18,22 +19,18 @@
 /* C += A' B */
 static inline void add_tmul(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
 {
+  const rows3 b = load_rows(B);
   for (int i = 0; i < 3; i++) {
-    const double a0 = A->m[i], a1 = A->m[3 + i], a2 = A->m[6 + i];
-    for (int j = 0; j < 3; j++) {
-      C->m[3 * i + j] += a0 * B->m[j] + a1 * B->m[3 + j] + a2 * B->m[6 + j];
-    }
+    add_row(C->m + 3 * i, A->m[i], A->m[3 + i], A->m[6 + i], &b);
   }
 }
 
 /* C += A B */
 static inline void add_mul(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
 {
+  const rows3 b = load_rows(B);
   for (int i = 0; i < 3; i++) {
-    const double a0 = A->m[3 * i], a1 = A->m[3 * i + 1], a2 = A->m[3 * i + 2];
-    for (int j = 0; j < 3; j++) {
-      C->m[3 * i + j] += a0 * B->m[j] + a1 * B->m[3 + j] + a2 * B->m[6 + j];
-    }
+    add_row(C->m + 3 * i, A->m[3 * i], A->m[3 * i + 1], A->m[3 * i + 2], &b);
   }
 }
 
@@ -380,7 +377,8 @@ typedef struct row_factors {
 static kg_mat63 inertia_mul(const kg_inertia *J, const kg_mat63 *S)
 {
   const kg_mat3 I = symmetric(J->I);
-  kg_mat63 Q = {kg_mat3_mul(I, S->w), kg_mat3_scale(J->mass, S->v)};
+  kg_mat63 Q = {{{0.0}}, kg_mat3_scale(J->mass, S->v)};
+  add_mul(&Q.w, &I, &S->w);
   add_cross(&Q.w, 1.0, J->h, &S->v);
   add_cross(&Q.v, -1.0, J->h, &S->w);
   return Q;
@@ -400,8 +398,8 @@ static void make_row(row_factors *row, const kg_composite *c, const kg_mat63 *S)
 {
   const kg_mat3 Bs = symmetric(c->Bs);
   row->Q = inertia_mul(&c->I, S);
-  row->G = kg_mat3_mul(Bs, S->w);
-  add_cross(&row->G, 1.0, c->momentum.n, &S->w);
+  row->G = cross(c->momentum.n, &S->w);
+  add_mul(&row->G, &Bs, &S->w);
   add_cross(&row->G, 2.0, c->momentum.f, &S->v);
   if (c->loaded) {
     row->E = mat66_tmul(&c->K, S);

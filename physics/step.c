@@ -5,6 +5,7 @@
 #include "kinegrad/step.h"
 
 #include "physics/physics.h"
+#include "physics/rows.h"
 #include "physics/tree.h"
 
 #include <string.h>
@@ -276,10 +277,15 @@ static void set_problem(kg_step *s, const double *q, const double *v, const doub
   s->tau = tau;
   s->dt = dt;
   s->evaluated = false;
-  kg_links_pose(s->dynamics, q);
+}
+
+/* diag(M(q))^-1/2 dt */
+static void set_scale(kg_step *s)
+{
+  kg_links_pose(s->dynamics, s->q);
   kg_links_mass_diagonal(s->dynamics, s->scale);
   for (int k = 0; k < s->def.body->nv; k++) {
-    s->scale[k] = dt / sqrt(fmax(s->scale[k], SMALLEST_INERTIA));
+    s->scale[k] = s->dt / sqrt(fmax(s->scale[k], SMALLEST_INERTIA));
   }
 }
 
@@ -313,7 +319,12 @@ static bool residual(double *G, const double *v_end, void *user)
 
 static kg_mat63 times(const kg_mat63 *A, const kg_mat3 *E)
 {
-  const kg_mat63 C = {kg_mat3_mul(A->w, *E), kg_mat3_mul(A->v, *E)};
+  const rows3 e = load_rows(E);
+  kg_mat63 C = {{{0.0}}, {{0.0}}};
+  for (int i = 0; i < 9; i += 3) {
+    add_row(C.w.m + i, A->w.m[i], A->w.m[i + 1], A->w.m[i + 2], &e);
+    add_row(C.v.m + i, A->v.m[i], A->v.m[i + 1], A->v.m[i + 2], &e);
+  }
   return C;
 }
 
@@ -441,6 +452,7 @@ static bool solve_once(kg_step *s, const double *q, const double *v, double dt, 
                        kg_step_report *report, double *worst)
 {
   set_problem(s, q, v, s->tau, dt);
+  set_scale(s);
   kg_newton_report r = kg_newton_solve(s->plain, x, s->scale, residual, direction, s);
   count_newton(report, &r);
   if (r.stop != KG_NEWTON_CONVERGED && s->def.scene) {
@@ -506,6 +518,9 @@ void kg_step_residual(kg_step *step, double *G, double *dG_dv_next, const double
   KG_ASSERT(dt > 0.0);
   kg_step *s = step;
   set_problem(s, q, v, tau, dt);
+  if (report) {
+    set_scale(s);
+  }
   (void)residual(G, v_next, s);
   if (dG_dv_next) {
     jacobian(s);

@@ -6,6 +6,8 @@
  * their own path only (docs/theory/contact.md). */
 #include "physics/tree.h"
 
+#include "physics/rows.h"
+
 #include <float.h>
 #include <string.h>
 
@@ -98,11 +100,9 @@ static double largest(const kg_mat3 *A)
 /* C -= A B */
 static inline void subtract_product(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
 {
+  const rows3 b = load_rows(B);
   for (int i = 0; i < 3; i++) {
-    const double a0 = A->m[3 * i], a1 = A->m[3 * i + 1], a2 = A->m[3 * i + 2];
-    for (int j = 0; j < 3; j++) {
-      C->m[3 * i + j] -= a0 * B->m[j] + a1 * B->m[3 + j] + a2 * B->m[6 + j];
-    }
+    add_row(C->m + 3 * i, -A->m[3 * i], -A->m[3 * i + 1], -A->m[3 * i + 2], &b);
   }
 }
 
