@@ -4,8 +4,9 @@
  *   G(v') = ID(q', v', (v' - v)/dt) + c v'_joint - tau - J_c(q')' f_c(q', v') = 0,
  *   q' = q (+) dt v'
  * by Newton's method with line search on |diag(M(q))^-1/2 G dt| (kg^1/2 m/s), exact Jacobian,
- * sparse LU along the tree (leaf to root, no fill-in). A step that does not converge is repeated
- * in 2, 4, ... sub-steps and counted. */
+ * sparse LU along the tree (leaf to root, no fill-in). Where Newton fails from the starting guess,
+ * the step is solved with a softened contact law first and followed to the true one; where that
+ * fails too, it is repeated in 2, 4, ... sub-steps and counted. docs/theory/dynamics.md, contact.md. */
 #ifndef KINEGRAD_STEP_H
 #define KINEGRAD_STEP_H
 
@@ -36,13 +37,13 @@ typedef struct kg_step_def {
 typedef struct kg_step_contact {
   int point;                  /* index into body->points                                      */
   kg_vec3 x;                  /* position at the end of the step, m                           */
-  kg_contact_force force;
+  kg_contact_force force;     /* derivatives are filled only where the step needed them       */
 } kg_step_contact;
 
 typedef struct kg_step_report {
   bool converged;             /* every (sub-)step reached the tolerance                       */
   int substeps;               /* 1 when the plain step converged                              */
-  int iterations;             /* Newton iterations, all sub-steps                             */
+  int iterations;             /* Newton iterations of all attempts and sub-steps              */
   int cuts;                   /* line-search halvings                                         */
   double residual;            /* worst final residual, kg^1/2 m/s                             */
   int contact_count;          /* points inside the layer at the end                           */
@@ -61,7 +62,8 @@ KG_API void kg_step_advance(kg_step *step, double *q_next, double *v_next, const
                             kg_step_report *report);
 
 /* G(v_next) with tau = 0 when tau is NULL, and its exact Jacobian dG/dv_next (nv*nv row-major, NULL
- * allowed; total derivative, through q' too). Fills the contact list of the report when not NULL. */
+ * allowed; total derivative, through q' too). report, when not NULL: contact list, residual, and
+ * whether that is within the tolerance. */
 KG_API void kg_step_residual(kg_step *step, double *G, double *dG_dv_next, const double *v_next,
                              const double *q, const double *v, const double *tau, double dt,
                              kg_step_report *report);
