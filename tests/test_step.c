@@ -306,7 +306,78 @@ static void newton_converges_on_random_contact_states(void **state)
   kg_body_destroy(body);
 }
 
-/* Without sub-steps the hardest step fails and says so; with them it is solved and says how. */
+/* The report's contacts are the points inside the layer at q, no more and no fewer, with the forces
+ * of the law as it was asked for. */
+static void assert_contacts_are_true(const kg_step_def *def, kg_dynamics *d, const double *q,
+                                     const kg_step_report *report)
+{
+  int seen = 0;
+  for (int k = 0; k < def->body->point_count; k++) {
+    const kg_vec3 x = kg_dynamics_point(d, NULL, q, def->body->points[k]);
+    const bool inside = kg_scene_distance(def->scene, x).distance < def->contact.layer;
+    const kg_step_contact *found = NULL;
+    for (int c = 0; c < report->contact_count; c++) {
+      found = report->contacts[c].point == k ? &report->contacts[c] : found;
+    }
+    assert_true((found != NULL) == inside);
+    if (found) {
+      seen++;
+      assert_at_most(kg_vec3_norm(kg_vec3_sub(found->x, x)), 1e-14);
+    }
+  }
+  assert_int_equal(seen, report->contact_count);
+}
+
+static void contact_list_matches_brute_force(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(40);
+  kg_body *body = human_body();
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  int contacts = 0;
+  for (int trial = 0; trial < 200; trial++) {
+    double q[MAX_NQ], v[MAX_NV], a[MAX_NV], G[MAX_NV];
+    random_state(&random, body, q, v, a);
+    put_on_ground(d, body, 0.006 * kg_random_uniform(&random), q);
+    memset(v, 0, sizeof v);
+    kg_step_report report;
+    kg_step_residual(s, G, NULL, v, q, v, NULL, 0.01, &report);
+    assert_contacts_are_true(&def, d, q, &report);
+    contacts += report.contact_count;
+  }
+  assert_true(contacts >= 200);
+  kg_step_destroy(s);
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
+/* Sum of contact forces and moments of a report against the law and the point velocities. */
+static void assert_forces_follow_the_law(const kg_step_def *def, kg_dynamics *d, const double *q,
+                                         const double *v, const kg_step_report *report)
+{
+  for (int c = 0; c < report->contact_count; c++) {
+    const kg_step_contact *contact = &report->contacts[c];
+    double J[3 * MAX_NV], u[3] = {0.0};
+    const int nv = def->body->nv;
+    (void)kg_dynamics_point(d, J, q, def->body->points[contact->point]);
+    for (int k = 0; k < 3 * nv; k++) {
+      u[k / nv] += J[k] * v[k % nv];
+    }
+    kg_contact_force f;
+    assert_true(kg_contact_evaluate(&def->contact, def->scene, contact->x,
+                                    kg_vec3_make(u[0], u[1], u[2]), false, &f));
+    assert_at_most(kg_vec3_norm(kg_vec3_sub(f.f, contact->force.f)),
+                   1e-6 * (1.0 + kg_vec3_norm(f.f)));
+  }
+}
+
+/* Without sub-steps the hardest step fails and says so, with a consistent point; with them it is
+ * the same as taking the sub-steps one by one. */
 static void failure_is_reported_and_divided(void **state)
 {
   (void)state;
@@ -319,20 +390,41 @@ static void failure_is_reported_and_divided(void **state)
   def.scene = &scene;
   kg_step *divided = step_of(&def);
   def.max_substep_levels = 0;
-  kg_step *whole = step_of(&def);
+  kg_step *whole = step_of(&def), *fresh = step_of(&def);
   int failures = 0, solved = 0;
   for (int trial = 0; trial < 20; trial++) {
-    double q[MAX_NQ], v[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV];
+    double q[MAX_NQ], v[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV], q_one[MAX_NQ], v_one[MAX_NV];
+    double move[MAX_NV], G[MAX_NV];
     contact_state(&random, d, body, 1, q, v);
-    kg_step_report a, b;
+    kg_step_report a, b, c;
     kg_step_advance(whole, q_next, v_next, q, v, NULL, 0.04, false, &a);
     assert_int_equal(a.substeps, 1);
     assert_true(a.converged == (a.residual <= def.tolerance));
+    for (int k = 0; k < body->nv; k++) {
+      assert_true(isfinite(v_next[k]));
+      move[k] = 0.04 * v_next[k];
+    }
+    kg_body_integrate(body, q_one, q, move);
+    assert_memory_equal(q_one, q_next, (size_t)body->nq * sizeof *q);
+    assert_contacts_are_true(&def, d, q_next, &a);
+    assert_forces_follow_the_law(&def, d, q_next, v_next, &a);
+    kg_step_residual(fresh, G, NULL, v_next, q, v, NULL, 0.04, &c);
+    if (a.converged) {
+      assert_at_most(c.residual, def.tolerance);
+    }
     kg_step_advance(divided, q_next, v_next, q, v, NULL, 0.04, false, &b);
     assert_true(b.converged == (b.residual <= def.tolerance));
     assert_true((b.substeps > 1) == !a.converged);
-    for (int k = 0; k < body->nv; k++) {
-      assert_true(isfinite(v_next[k]));
+    assert_forces_follow_the_law(&def, d, q_next, v_next, &b);
+    memcpy(q_one, q, sizeof q_one);
+    memcpy(v_one, v, sizeof v_one);
+    for (int k = 0; k < b.substeps && b.converged; k++) {
+      kg_step_advance(fresh, q_one, v_one, q_one, v_one, NULL, 0.04 / b.substeps, false, &c);
+      assert_true(c.converged);
+    }
+    if (b.converged) {
+      assert_memory_equal(q_one, q_next, (size_t)body->nq * sizeof *q);
+      assert_memory_equal(v_one, v_next, (size_t)body->nv * sizeof *v);
     }
     failures += !a.converged;
     solved += b.converged;
@@ -341,6 +433,7 @@ static void failure_is_reported_and_divided(void **state)
   print_message("0.04 s landings: %d of 20 fail whole, %d of 20 solved with sub-steps\n", failures,
                 solved);
   assert_true(solved >= 18);
+  kg_step_destroy(fresh);
   kg_step_destroy(whole);
   kg_step_destroy(divided);
   kg_dynamics_destroy(d);
@@ -713,6 +806,7 @@ int main(void)
     cmocka_unit_test(jacobian_matches_differences),
     cmocka_unit_test(step_agrees_with_ceres_and_lapack),
     cmocka_unit_test(newton_converges_on_random_contact_states),
+    cmocka_unit_test(contact_list_matches_brute_force),
     cmocka_unit_test(failure_is_reported_and_divided),
     cmocka_unit_test(same_input_gives_the_same_bits),
     cmocka_unit_test(flight_keeps_momentum_to_first_order),
