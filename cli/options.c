@@ -70,8 +70,11 @@ const char *cli_nearest(const char *typed, const char *const *names, int count)
       best = names[i];
     }
   }
-  for (int i = 0; !best && strlen(typed) > 2 && i < count; i++) {
-    best = strncmp(typed, names[i], strlen(typed)) == 0 ? names[i] : NULL; /* an abbreviation */
+  const size_t length = strlen(typed);
+  for (int i = 0; !best && length > 2 && i < count; i++) { /* an abbreviation */
+    if (names[i] && strncmp(typed, names[i], length) == 0) {
+      best = names[i];
+    }
   }
   return best;
 }

@@ -21,7 +21,7 @@ static const json_t *find(const json_t *value, const char *path)
 
 int main(int argc, char **argv)
 {
-  json_error_t error;
+  json_error_t error = {.text = "no file was named"};
   json_t *root = argc > 1 ? json_load_file(argv[1], JSON_REJECT_DUPLICATES, &error) : NULL;
   if (!root) {
     fprintf(stderr, "json_get: %d: %s\n", error.line, error.text);
