@@ -299,7 +299,17 @@ counts announced_ply(const std::string &content)
     std::string element, name;
     long long count;
     if (line.compare(0, 10, "end_header") == 0) break;
-    if (!(words >> element >> name >> count) || element != "element") continue;
+    words >> element >> name;
+    if (element == "property" && name == "list") {
+      std::string type; /* of the length: OpenMesh makes room for any number it reads */
+      if (words >> type && type.find("char") == std::string::npos &&
+          type.find('8') == std::string::npos && type.find("short") == std::string::npos &&
+          type.find("16") == std::string::npos) {
+        throw refusal{KG_ERR_UNSUPPORTED,
+                      "lists whose length takes more than 16 bits are not read"};
+      }
+    }
+    if (element != "element" || !(words >> count)) continue;
     if (name == "vertex") out.vertices = count;
     if (name == "face") out.faces = count;
   }

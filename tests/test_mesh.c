@@ -456,6 +456,7 @@ static void damaged_files_are_refused_and_named(void **state)
     {"cut_short.ply", KG_ERR_FORMAT, "of 6 faces 5"},
     {"huge_counts.ply", KG_ERR_FORMAT, "ply"},
     {"huge_polygon.ply", KG_ERR_FORMAT, "of 6 faces 5"},
+    {"long_lists.ply", KG_ERR_UNSUPPORTED, "16 bits"},
     {"no_header.ply", KG_ERR_FORMAT, "ply"},
     {"cut_short_text.stl", KG_ERR_FORMAT, "endsolid"},
     {"cut_short_binary.stl", KG_ERR_FORMAT, "STL"},

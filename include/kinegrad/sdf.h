@@ -74,7 +74,7 @@ KG_API KG_MUST_USE kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *verti
 /* OBJ, PLY, OFF or STL (by extension) through OpenMesh; polygons, taken as convex, are triangulated;
  * lengths times unit_m. Coordinates are read in single precision (6e-8 of their size).
  * KG_ERR_READ: no such file, or empty. KG_ERR_FORMAT: another extension, a damaged or shortened
- * file, and as kg_mesh_create. */
+ * file, and as kg_mesh_create. KG_ERR_UNSUPPORTED: a PLY list with a 32-bit length. */
 KG_API KG_MUST_USE kg_status kg_mesh_read(kg_mesh **mesh, const char *path, double unit_m,
                                           kg_mesh_report *report, const kg_allocator *allocator,
                                           kg_error *error);
