@@ -6,6 +6,7 @@
  * number of faces is compared with what the file announces or, in OBJ, holds.
  *
  * Coordinates arrive in single precision, whatever the file holds: 6e-8 of their size.
+ * Its PLY reader keeps its state in one object: read meshes from one thread at a time.
  * Its readers parse numbers in the program's locale; a program that calls setlocale must keep
  * LC_NUMERIC at "C". Its messages are switched off, and stay off, in its two log streams. */
 #include "kinegrad/sdf.h"
@@ -22,6 +23,7 @@
 #include <cstdlib>
 #include <exception>
 #include <fstream>
+#include <iterator>
 #include <new>
 #include <sstream>
 #include <string>
@@ -290,29 +292,73 @@ counts announced_off(const std::string &content)
   return out;
 }
 
+bool is_ply_type(const std::string &type)
+{
+  const char *const types[] = {"char",  "uchar",  "short",   "ushort", "int",   "uint",
+                               "float", "double", "int8",    "uint8",  "int16", "uint16",
+                               "int32", "uint32", "float32", "float64"};
+  return std::find(std::begin(types), std::end(types), type) != std::end(types);
+}
+
+/* OpenMesh makes room for any length it reads */
+bool is_short_ply_type(const std::string &type)
+{
+  return type.find("char") != std::string::npos || type.find("short") != std::string::npos ||
+         type == "int8" || type == "uint8" || type == "int16" || type == "uint16";
+}
+
+/* One line of a PLY header after the first. OpenMesh's reader trusts what is checked here. */
+void check_ply_line(const std::vector<std::string> &word, counts &out, std::string &element)
+{
+  const size_t n = word.size();
+  const refusal bad = {KG_ERR_FORMAT, "the ply header has a line that is not of its format"};
+  if (n == 3 && word[0] == "format" && word[2] == "1.0" && element.empty() &&
+      (word[1] == "ascii" || word[1] == "binary_little_endian" || word[1] == "binary_big_endian")) {
+    return;
+  }
+  if (n == 3 && word[0] == "element") {
+    char *end;
+    const long long count = std::strtoll(word[2].c_str(), &end, 10);
+    const bool vertex = word[1] == "vertex", face = word[1] == "face";
+    /* vertices first, then faces: a second list of either would be mixed with the first */
+    if (*end != '\0' || count < 0 || count > INT_MAX || (vertex && !element.empty()) ||
+        (face && element != "vertex") || (!vertex && element.empty())) {
+      throw bad;
+    }
+    if (vertex) out.vertices = count;
+    if (face) out.faces = count;
+    element = word[1];
+    return;
+  }
+  if (element.empty() || word[0] != "property") throw bad;
+  if (n == 3 && is_ply_type(word[1])) return;
+  if (n != 5 || word[1] != "list" || !is_ply_type(word[2]) || !is_ply_type(word[3])) throw bad;
+  if (!is_short_ply_type(word[2])) {
+    throw refusal{KG_ERR_UNSUPPORTED, "lists whose length takes more than 16 bits are not read"};
+  }
+}
+
 counts announced_ply(const std::string &content)
 {
   std::istringstream lines(content);
+  std::string line, element;
   counts out;
-  for (std::string line; std::getline(lines, line);) {
+  bool format = false;
+  std::getline(lines, line);
+  if (line != "ply" && line != "ply\r") throw refusal{KG_ERR_FORMAT, "not a ply file"};
+  while (std::getline(lines, line)) {
     std::istringstream words(line);
-    std::string element, name;
-    long long count;
-    if (line.compare(0, 10, "end_header") == 0) break;
-    words >> element >> name;
-    if (element == "property" && name == "list") {
-      std::string type; /* of the length: OpenMesh makes room for any number it reads */
-      if (words >> type && type.find("char") == std::string::npos &&
-          type.find('8') == std::string::npos && type.find("short") == std::string::npos &&
-          type.find("16") == std::string::npos) {
-        throw refusal{KG_ERR_UNSUPPORTED,
-                      "lists whose length takes more than 16 bits are not read"};
-      }
+    std::vector<std::string> word;
+    for (std::string w; words >> w;) {
+      word.push_back(w);
     }
-    if (element != "element" || !(words >> count)) continue;
-    if (name == "vertex") out.vertices = count;
-    if (name == "face") out.faces = count;
+    if (word.size() == 1 && word[0] == "end_header") break;
+    if (word.empty() || word[0] == "comment" || word[0] == "obj_info") continue;
+    if (!format && word[0] != "format") break; /* it comes first: nothing may stand before it */
+    format = true;
+    check_ply_line(word, out, element);
   }
+  if (!lines || out.faces < 0) throw refusal{KG_ERR_FORMAT, "the ply header is not complete"};
   return out;
 }
 
