@@ -13,14 +13,15 @@
 /* kg m^2: keeps the scale finite for a joint that moves nothing. */
 static const double SMALLEST_INERTIA = 1e-12;
 
-/* What plain Newton does not solve is solved by continuation: the contact law is made soft, solved,
- * and hardened to what it is (docs/theory/contact.md, section 4). */
+/* What plain Newton does not solve at once is solved by continuation: the contact law is made soft,
+ * solved roughly, and hardened to what it is (docs/theory/contact.md, section 4). */
 static const double SOFT_FLOOR_SHARE = 0.9;
-static const double SOFT_STICK = 1.0;       /* m/s                                             */
-static const double ROUGH = 1e-4;           /* kg^1/2 m/s; tolerance on the way                */
-static const double FIRST_HARDENING = 0.15; /* of the way from soft (0) to hard (1)            */
-static const double SMALLEST_HARDENING = 0.01;
-enum { PLAIN_ITERATIONS = 8, ROUGH_ITERATIONS = 10 };
+static const double SOFT_STICK = 1.0;     /* m/s                                             */
+static const double ROUGH = 0.1;          /* kg^1/2 m/s; tolerance on the way                */
+static const double FIRST_HARDNESS = 0.6; /* between soft (0) and hard (1)                   */
+static const double FIRST_STRIDE = 0.4;   /* of hardness                                     */
+static const double SMALLEST_STRIDE = 0.01;
+enum { PLAIN_ITERATIONS = 2, ROUGH_ITERATIONS = 12 };
 
 /* The points of one segment and a ball around them, to dismiss them all with one distance. */
 typedef struct point_group {
@@ -34,7 +35,7 @@ struct kg_step {
   kg_dynamics *dynamics;
   kg_newton *newton;         /* to the tolerance                                     */
   kg_newton *plain;          /* the same with few iterations: the first attempt      */
-  kg_newton *rough;          /* to ROUGH: stages of the continuation    */
+  kg_newton *rough;          /* to ROUGH: stages of the continuation                  */
   kg_contact_params contact; /* of the stage */
   int *order;                /* points sorted by segment */
   point_group *groups;
@@ -46,7 +47,7 @@ struct kg_step {
   double *v_end;     /* the v' the links were last evaluated at; only with evaluated */
   bool evaluated;
   double *G;                 /* of a repeated evaluation     */
-  double *x_good;            /* last solution on the way to the hard law */
+  double *x_start, *x_good;  /* the guess; last solution on the way to the hard law */
   double *q_sub, *v_sub, *x; /* state inside a sequence of sub-steps, unknowns */
   /* the step being solved */
   const double *q, *v, *tau;
@@ -137,6 +138,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   made.q_end = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.a = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.G = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.x_start = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.x_good = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.v_end = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.q_sub = KG_ARENA_ARRAY(&arena, double, body->nq);
@@ -400,6 +402,16 @@ static bool direction(double *p, const double *x, const double *G, void *user)
 
 /* ---- steps ------------------------------------------------------------------------------------*/
 
+/* |diag(M)^-1/2 G dt|, dynamics (19) */
+static double merit(const kg_step *s, const double *G)
+{
+  double sum = 0.0;
+  for (int k = 0; k < s->def.body->nv; k++) {
+    sum += s->scale[k] * G[k] * s->scale[k] * G[k];
+  }
+  return sqrt(sum);
+}
+
 static void count_newton(kg_step_report *report, const kg_newton_report *r)
 {
   report->iterations += r->iterations;
@@ -420,44 +432,72 @@ static void set_hardness(kg_step *s, double hardness)
   s->evaluated = false; /* the links and contacts belong to the law before */
 }
 
-/* From the soft law to the true one with steps as long as Newton can follow; x: start in, best
- * point out. */
+/* Newton at one hardness. */
+static bool solve_at(kg_step *s, double hardness, double *x, kg_newton_report *r,
+                     kg_step_report *report)
+{
+  set_hardness(s, hardness);
+  *r = kg_newton_solve(hardness < 1.0 ? s->rough : s->newton, x, s->scale, residual, direction, s);
+  count_newton(report, r);
+  return r->stop == KG_NEWTON_CONVERGED;
+}
+
+/* From a softer law to the true one with strides as long as Newton can follow. x: starting guess in,
+ * best point out. */
 static kg_newton_report solve_hardening(kg_step *s, double *x, kg_step_report *report)
 {
   const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
   kg_newton_report r;
-  double done = -1.0, stride = FIRST_HARDENING, target = 0.0;
-  do {
+  double done = FIRST_HARDNESS, stride = FIRST_STRIDE;
+  bool started = solve_at(s, done, x, &r, report);
+  if (!started) { /* as soft as it gets, and from a start that exists */
+    memcpy(x, s->v, bytes);
+    done = 0.0;
+    started = solve_at(s, done, x, &r, report);
+  }
+  while (started && done < 1.0 && stride > SMALLEST_STRIDE) {
     memcpy(s->x_good, x, bytes);
-    set_hardness(s, target);
-    r = kg_newton_solve(target < 1.0 ? s->rough : s->newton, x, s->scale, residual, direction, s);
-    count_newton(report, &r);
-    if (r.stop == KG_NEWTON_CONVERGED) {
-      stride = done < 0.0 ? stride : 1.5 * stride;
+    const double target = fmin(1.0, done + stride);
+    if (solve_at(s, target, x, &r, report)) {
       done = target;
-    } else if (done < 0.0 || stride < SMALLEST_HARDENING) {
-      break;
+      stride *= 1.5;
     } else {
-      memcpy(x, s->x_good, bytes);
       stride *= 0.4;
+      if (stride > SMALLEST_STRIDE) {
+        memcpy(x, s->x_good, bytes);
+      }
     }
-    target = fmin(1.0, done + stride);
-  } while (done < 1.0);
+  }
   set_hardness(s, 1.0);
   return r;
+}
+
+/* What is left of G under the true law, for a point found under a softer one. */
+static double true_residual(kg_step *s, const double *x)
+{
+  (void)residual(s->G, x, s);
+  return merit(s, s->G);
 }
 
 /* One plain step from (q, v) into (q_end, x); x: starting guess in. */
 static bool solve_once(kg_step *s, const double *q, const double *v, double dt, double *x,
                        kg_step_report *report, double *worst)
 {
+  const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
   set_problem(s, q, v, s->tau, dt);
   set_scale(s);
-  kg_newton_report r = kg_newton_solve(s->plain, x, s->scale, residual, direction, s);
+  memcpy(s->x_start, x, bytes);
+  kg_newton_report r =
+    kg_newton_solve(s->def.scene ? s->plain : s->newton, x, s->scale, residual, direction, s);
   count_newton(report, &r);
+  if (r.stop == KG_NEWTON_MAX_ITERATIONS && s->contact_count == 0) { /* in the air: go on */
+    r = kg_newton_solve(s->newton, x, s->scale, residual, direction, s);
+    count_newton(report, &r);
+  }
   if (r.stop != KG_NEWTON_CONVERGED && s->def.scene) {
-    memcpy(x, v, (size_t)s->def.body->nv * sizeof *x);
+    memcpy(x, s->x_start, bytes);
     r = solve_hardening(s, x, report);
+    r.residual = r.stop == KG_NEWTON_CONVERGED ? r.residual : true_residual(s, x);
   }
   *worst = fmax(*worst, r.residual);
   return r.stop == KG_NEWTON_CONVERGED;
@@ -527,12 +567,8 @@ void kg_step_residual(kg_step *step, double *G, double *dG_dv_next, const double
     kg_tree_to_dense(&s->dynamics->tree, &s->J, dG_dv_next);
   }
   if (report) {
-    double sum = 0.0;
-    for (int k = 0; k < s->def.body->nv; k++) {
-      sum += s->scale[k] * G[k] * s->scale[k] * G[k];
-    }
     *report = (kg_step_report){.substeps = 1,
-                               .residual = sqrt(sum),
+                               .residual = merit(s, G),
                                .contact_count = s->contact_count,
                                .contacts = s->contacts};
     report->converged = report->residual <= s->def.tolerance;
