@@ -366,9 +366,11 @@ run 0 correct "$walk" -o out/link.bvh --method sdf
 claim "a symbolic link stays one" test -L out/link.bvh
 printf 'v -9 -1 -9\nv 9 -1 -9\nv 9 -1 9\nv -9 -1 9\nv 0 -2 0\nf 1 4 3 2\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n' >deep.obj
 run 0 correct "$walk" -o out/s.bvh --method sdf --scene deep.obj --scene-unit 1 --quiet
-if command -v script >/dev/null; then
+if script -qec true /dev/null >/dev/null 2>&1; then
   TERM=xterm script -qec "'$kinegrad' correct '$walk' -o out/a.bvh --method track" /dev/null >tty.txt
   claim "a terminal gets a progress line" grep -q "frames  .* fps  ETA" tty.txt
+else
+  echo "skipped: the progress line, there is no pseudo-terminal here"
 fi
 
 # answer is no: falling in the air where nothing can carry the body

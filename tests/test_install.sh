@@ -57,7 +57,7 @@ check() { # NAME COMMAND...: the consumer runs and gives the number computed by 
   echo "$name: good"
 }
 
-cmake -S "$scratch/consumer" -B "$scratch/build" -DCMAKE_PREFIX_PATH="$prefix" \
+cmake -G Ninja -S "$scratch/consumer" -B "$scratch/build" -DCMAKE_PREFIX_PATH="$prefix" \
   -DCMAKE_C_COMPILER="$cc" -DCMAKE_CXX_COMPILER="$cxx" >"$scratch/configure.log"
 cmake --build "$scratch/build" >"$scratch/build.log"
 check "find_package, shared" "$scratch/build/with_shared"
