@@ -342,6 +342,16 @@ claim "forces: same number of fields everywhere" \
 # shellcheck disable=SC2016 # the dollars are awk's
 claim "forces: units in every column but the frame" \
   awk -F, 'NR == 1 {for (i = 1; i <= NF; i++) if ($i != "frame" && $i !~ /_(s|N|m|Nm)$/) exit 1}' out/f.csv
+# shellcheck disable=SC2016 # the dollars are awk's
+claim "forces: both feet carry the weight of one who stands, and residual and feet add up" \
+  awk -F, 'NR == 1 {for (i = 1; i <= NF; i++) c[$i] = i; next}
+    {l += $c["left_grf_y_N"]; r += $c["right_grf_y_N"]; x += $c["residual_force_y_N"]}
+    END {n = NR - 1; w = 70 * 9.8
+      exit !(l / n > 0.3 * w && r / n > 0.3 * w && (l + r + x) / n > 0.98 * w && (l + r + x) / n < 1.02 * w)}' out/f.csv
+# shellcheck disable=SC2016
+claim "forces: each foot is pressed on its own side" \
+  awk -F, 'NR == 1 {for (i = 1; i <= NF; i++) c[$i] = i; next}
+    $c["left_cop_x_m"] <= 0 || $c["right_cop_x_m"] >= 0 {exit 1}' out/f.csv
 claim "forces: no nan" sh -c '! grep -qi -e nan -e inf out/f.csv'
 run 0 correct "$walk" -o out/low.bvh --method sdf --floor 0.08 --json out/low.json
 claim "sdf: the capture was below this floor" \
