@@ -193,7 +193,7 @@ run 0 info --joints -- "$walk"
 run 0 info "$walk" --mjcf body.xml
 claim "the MJCF file is one" grep -q "<mujoco" body.xml
 claim "a closed pipe is no error" sh -c "'$kinegrad' info '$walk' --json - | head -c 1 >/dev/null"
-if [ -w /dev/full ]; then
+if [ -c /dev/full ]; then
   claims=$((claims + 1))
   "$kinegrad" info "$walk" >/dev/full 2>stderr.txt
   [ $? -eq 4 ] || fail "a full stdout must be exit code 4"
@@ -273,7 +273,7 @@ nothing_in out
 run 4 correct "$walk" -o out/x.bvh --json out/x.bvh
 says "two outputs"
 nothing_in out
-if [ -w /dev/full ]; then
+if [ -c /dev/full ]; then
   for option in --json --forces; do
     run 4 correct "$walk" -o out/x.bvh $option /dev/full
     silent
