@@ -39,7 +39,7 @@ static const setting SETTINGS[] = {
   TRACK(moment_weight),
   TRACK(friction_share),
   TRACK(leg_weight),
-  TRACK(joint_damping), TRACK(plan_force), TRACK(plan_moment),
+  TRACK(joint_damping), TRACK(flight_weight), TRACK(plan_patience), TRACK(catch_speed), TRACK(plan_force), TRACK(plan_moment),
   TRACK(trunk_weight),
   CONTACT(layer),
   CONTACT(floor_share),

@@ -7,7 +7,7 @@
 #include <string.h>
 
 /* external support is missing where the body needs this share of its weight ... */
-static const double UNEXPLAINED_SHARE = 0.35;
+static const double UNEXPLAINED_SHARE = 0.5;
 /* ... while no point of it is nearer to the scene than this ... */
 static const double UNEXPLAINED_HEIGHT_M = 0.10;
 /* ... for at least this long */
@@ -18,23 +18,26 @@ kg_track_params kg_track_default_params(void)
 {
   return (kg_track_params){
     .smoothing_hz = 12.0,
-    .plant_speed = 0.35,
+    .plant_speed = 0.2,
     .plant_height = 0.045,
-    .plant_flat = 0.02,
+    .plant_flat = 0.03,
     .rest_height = 0.0023,
     .clearance = 0.0125,
     .clearance_speed = 1.0,
     .ease_time = 0.08,
-    .plan_force = 2.0,
-    .plan_moment = 4.0,
+    .plan_force = 1.0,
+    .plan_moment = 2.0,
+    .plan_patience = 10.0,
+    .catch_speed = 0.3,
     .joint_frequency = 4.0,
-    .root_frequency = 6.0,
+    .root_frequency = 4.0,
     .wrench_weight = 1.0,
+    .flight_weight = 1.0,
     .moment_weight = 1.0,
     .joint_damping = 100.0,
     .leg_weight = 0.3,
     .trunk_weight = 10.0,
-    .friction_share = 0.7,
+    .friction_share = 0.85,
   };
 }
 
@@ -105,9 +108,9 @@ static void mark_unexplained(kg_correct_result *r, const kg_subject *subject, do
   for (int t = 1; t + 1 < T; t++) {
     const kg_vec3 second =
       kg_vec3_add(kg_vec3_sub(com[t + 1], com[t]), kg_vec3_sub(com[t - 1], com[t]));
-    kg_vec3 needed = kg_vec3_scale(rate * rate, second);
-    needed.y += gravity; /* support per mass */
-    r->unexplained[t] = kg_vec3_norm(needed) > UNEXPLAINED_SHARE * gravity &&
+    /* upward support per mass; downwards, the capture falls too fast, which is a matter of scale */
+    const double needed = rate * rate * second.y + gravity;
+    r->unexplained[t] = needed > UNEXPLAINED_SHARE * gravity &&
                         lowest_point(subject, dynamics, subject->q + (size_t)t * (size_t)r->nq, p,
                                      R) > UNEXPLAINED_HEIGHT_M;
   }

@@ -56,6 +56,8 @@ typedef struct kg_reference {
   int *planted_count;        /* (N)                                               */
   kg_planted_point *planted; /* (N, KG_MAX_PLANTED)                               */
   double *clearance;         /* (N, 2) what a foot in the air must keep from the ground, m */
+  kg_vec3 *missing_force;    /* (N) of the wrench the plan found no contact for, N and N m */
+  kg_vec3 *missing_moment;   /* (N) about the centre of mass                               */
 } kg_reference;
 
 /* Arrays come from the arena. KG_ERR_NO_MEMORY. */

@@ -21,7 +21,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { MAX_GROUPS = 4, IK_ITERATIONS = 4, CLEARANCE_ROUNDS = 4, PLAN_ROUNDS = 2 };
+enum { MAX_GROUPS = 4, IK_ITERATIONS = 4, CLEARANCE_ROUNDS = 4, PLAN_ROUNDS = 3 };
 
 static const double PLANT_HYSTERESIS = 1.5; /* a planted point may be this much faster           */
 static const double SHORTEST_PLANT_S = 0.03;
@@ -785,6 +785,8 @@ kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject
   reference->planted_count = KG_ARENA_ARRAY(arena, int, count);
   reference->planted = KG_ARENA_ARRAY(arena, kg_planted_point, (size_t)count * KG_MAX_PLANTED);
 
+  reference->missing_force = KG_ARENA_ARRAY(arena, kg_vec3, count);
+  reference->missing_moment = KG_ARENA_ARRAY(arena, kg_vec3, count);
   reference->clearance = KG_ARENA_ARRAY(arena, double, (size_t)count * 2);
 
   kg_arena scratch;
@@ -817,7 +819,7 @@ kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject
   }
   for (int round = 0; status == KG_OK && round < PLAN_ROUNDS; round++) {
     status = kg_plan_momentum(reference, subject, params, gravity, friction, arena->allocator);
-    if (status == KG_OK) {
+    if (status == KG_OK && round + 1 < PLAN_ROUNDS) {
       solve_poses(&b);
     }
   }

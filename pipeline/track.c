@@ -256,7 +256,8 @@ static kg_vec3 planted_velocity(const tracker *s, const kg_planted_point *plante
                                 double phi)
 {
   const kg_vec3 n = planted->normal;
-  const kg_vec3 way = kg_vec3_scale(CATCH_SHARE / s->h, kg_vec3_sub(planted->x, x));
+  kg_vec3 way = kg_vec3_scale(CATCH_SHARE / s->h, kg_vec3_sub(planted->x, x));
+  way = kg_vec3_scale(fmin(1.0, s->params->catch_speed / fmax(kg_vec3_norm(way), 1e-9)), way);
   const double up = kg_vec3_dot(n, way);
   return phi < s->def->contact.layer ? kg_vec3_scale(up, n) : way;
 }
@@ -332,9 +333,9 @@ static bool invert6(double A[36])
 }
 
 /* R of the wrench's cost: rho over mass and inertia, moment about the centre of mass */
-static void wrench_compliance(tracker *s, double Rinv[36])
+static void wrench_compliance(tracker *s, const kg_centroid *centroid, double Rinv[36])
 {
-  const kg_centroid c = kg_dynamics_centroid(s->dynamics, s->q_next, NULL);
+  const kg_centroid c = *centroid;
   const kg_vec3 arm = kg_mat3_mul_vec_t(s->R[0], kg_vec3_sub(c.com, s->p[0]));
   const kg_mat3 S = kg_mat3_mul(kg_mat3_skew(arm), kg_mat3_transposed(s->R[0]));
   const double inertia = (c.I.m[0] + c.I.m[4] + c.I.m[8]) / 3.0;
@@ -346,7 +347,9 @@ static void wrench_compliance(tracker *s, double Rinv[36])
       T[3 + i][j] = S.m[3 * i + j];
     }
   }
-  const double d[2] = {c.mass / s->params->wrench_weight, inertia / s->params->moment_weight};
+  const double more = s->support_count > 0 ? 1.0 : s->params->flight_weight;
+  const double d[2] = {c.mass / (more * s->params->wrench_weight),
+                       inertia / (more * s->params->moment_weight)};
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j < 6; j++) {
       double sum = 0.0;
@@ -356,6 +359,17 @@ static void wrench_compliance(tracker *s, double Rinv[36])
       Rinv[6 * i + j] = sum;
     }
   }
+}
+
+/* the wrench that the plan found no contact for, at the root: it is granted, not paid for */
+static void granted_wrench(const tracker *s, const kg_centroid *c, int k, double w[6])
+{
+  const kg_vec3 f = s->reference->missing_force[k];
+  const kg_vec3 arm = kg_vec3_sub(c->com, s->p[0]);
+  const kg_vec3 n = kg_mat3_mul_vec_t(
+    s->R[0], kg_vec3_add(s->reference->missing_moment[k], kg_vec3_cross(arm, f)));
+  const double all[6] = {f.x, f.y, f.z, n.x, n.y, n.z};
+  memcpy(w, all, sizeof all);
 }
 
 /* f >= 0 that minimises 1/2 (r - E f)'K(r - E f) + 1/2 eps |f|^2: coordinate descent */
@@ -424,7 +438,10 @@ static void choose(tracker *s, int k)
   add_planted(s, k);
   add_kept_out(s);
   double K[36];
-  wrench_compliance(s, K);
+  const kg_centroid c = kg_dynamics_centroid(s->dynamics, s->q_next, NULL);
+  wrench_compliance(s, &c, K);
+  double granted[6];
+  granted_wrench(s, &c, k, granted);
   if (!kg_dense_cholesky_factor(s->H, nv)) {
     return;
   }
@@ -436,7 +453,7 @@ static void choose(tracker *s, int k)
   double r[6];
   for (int i = 0; i < 6; i++) {
     const double *B = s->M + (size_t)i * n;
-    r[i] = s->bias[i];
+    r[i] = s->bias[i] - granted[i];
     for (size_t j = 0; j < n; j++) {
       r[i] += B[j] * s->g[j];
     }
