@@ -27,7 +27,7 @@ kg_track_params kg_track_default_params(void)
     .ease_time = 0.08,
     .plan_force = 1.0,
     .plan_moment = 2.0,
-    .plan_patience = 10.0,
+    .plan_patience = 2.0,
     .catch_speed = 0.3,
     .joint_frequency = 4.0,
     .root_frequency = 4.0,

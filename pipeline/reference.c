@@ -27,7 +27,8 @@ static const double PLANT_HYSTERESIS = 1.5; /* a planted point may be this much 
 static const double SHORTEST_PLANT_S = 0.03;
 static const double HAND_SOLE_M = 0.005; /* points of a hand this near its lowest carry force  */
 static const double NEED_SMOOTHING_HZ = 6.0; /* of the centre of mass                             */
-static const double NEEDED_SHARE = 0.35;   /* of the weight: less than this is flight            */
+static const double NEEDED_SHARE = 0.35; /* of the weight: less than this is flight            */
+static const double FAST_STANCE_SPEED = 0.5; /* m/s                                               */
 static const double PIVOT_HEIGHT_M = 0.06; /* of the lowest point of a foot that may carry       */
 static const double PIVOT_FLAT_M = 0.012;  /* above it, still a candidate                        */
 static const double PIVOT_SPEED = 1.2;     /* m/s                                                */
@@ -158,6 +159,14 @@ static double lowest_of_group(const point_group *group, int t)
   return lowest;
 }
 
+static bool may_stand(const builder *b, const point_group *group, int t, int k, double lowest,
+                      double loose)
+{
+  const int at = t * group->count + k;
+  return group->phi[at] < loose * b->params->plant_height &&
+         group->phi[at] - lowest < loose * b->params->plant_flat;
+}
+
 static void find_planted(builder *b, point_group *group)
 {
   for (int t = 0; t < b->count; t++) {
@@ -166,8 +175,7 @@ static void find_planted(builder *b, point_group *group)
       const int at = t * group->count + k;
       const bool before = t > 0 && group->planted[at - group->count];
       const double loose = before ? PLANT_HYSTERESIS : 1.0;
-      group->planted[at] = group->phi[at] < loose * b->params->plant_height &&
-                           group->phi[at] - lowest < loose * b->params->plant_flat &&
+      group->planted[at] = may_stand(b, group, t, k, lowest, loose) &&
                            point_speed(b, group, t, k) < loose * b->params->plant_speed;
     }
   }
@@ -229,6 +237,37 @@ static void find_needed(builder *b, double gravity)
   }
 }
 
+static bool anything_planted(const builder *b, int t)
+{
+  for (int g = 0; g < b->group_count; g++) {
+    if (any_planted(&b->groups[g], t)) {
+      return true;
+    }
+  }
+  return false;
+}
+
+/* A fast stance: where a support is needed and nothing is planted, faster points count too. */
+static void find_fast_stances(builder *b)
+{
+  for (int t = 0; t < b->count; t++) {
+    if (!b->needed[t] || anything_planted(b, t)) {
+      continue;
+    }
+    for (int g = 0; g < b->group_count; g++) {
+      point_group *group = &b->groups[g];
+      const double lowest = lowest_of_group(group, t);
+      for (int k = 0; k < group->count; k++) {
+        group->planted[t * group->count + k] =
+          may_stand(b, group, t, k, lowest, 1.0) && point_speed(b, group, t, k) < FAST_STANCE_SPEED;
+      }
+    }
+  }
+  for (int g = 0; g < b->group_count; g++) {
+    clean_planted(b, &b->groups[g]);
+  }
+}
+
 /* A foot that turns on its ball moves, but it carries the body: where a support is needed and nothing
  * is planted, the slowest of the lowest points of the lowest foot or hand becomes the pivot. */
 static void find_pivots(builder *b)
@@ -236,9 +275,8 @@ static void find_pivots(builder *b)
   for (int t = 0; t < b->count; t++) {
     point_group *lowest = NULL;
     double low = PIVOT_HEIGHT_M;
-    bool held = !b->needed[t];
+    const bool held = !b->needed[t] || anything_planted(b, t);
     for (int g = 0; g < b->group_count; g++) {
-      held = held || any_planted(&b->groups[g], t);
       const double phi = lowest_of_group(&b->groups[g], t);
       if (phi < low) {
         low = phi;
@@ -284,10 +322,7 @@ static void find_rises(builder *b, double tau4)
   for (int t = 0; t < b->count; t++) {
     kg_dynamics_pose(b->dynamics, b->reference->q + (size_t)t * (size_t)b->body->nq, b->p, b->R);
     const double low = lowest_of_body(b);
-    bool held = false;
-    for (int g = 0; g < b->group_count; g++) {
-      held = held || any_planted(&b->groups[g], t);
-    }
+    const bool held = anything_planted(b, t);
     const double rise = b->params->rest_height - low;
     b->carried[t] = b->needed[t] && !held && low < BODY_HEIGHT_M;
     b->weights[t] = b->carried[t] || rise > 0.0 ? DATA_WEIGHT : 0.0;
@@ -736,11 +771,11 @@ static void add_groups(builder *b, kg_arena *arena)
   }
 }
 
-/* feet whole, hands whole */
+/* feet, hands, and shanks: the end of a shank is always low when the foot stands, and carries nothing */
 static void mark_group_segments(builder *b)
 {
-  const kg_role roles[] = {KG_ROLE_L_ANKLE, KG_ROLE_L_TOE,   KG_ROLE_R_ANKLE,
-                           KG_ROLE_R_TOE,   KG_ROLE_L_WRIST, KG_ROLE_R_WRIST};
+  const kg_role roles[] = {KG_ROLE_L_ANKLE, KG_ROLE_L_TOE,   KG_ROLE_R_ANKLE, KG_ROLE_R_TOE,
+                           KG_ROLE_L_WRIST, KG_ROLE_R_WRIST, KG_ROLE_L_KNEE,  KG_ROLE_R_KNEE};
   for (size_t i = 0; b->in_group && i < KG_COUNT_OF(roles); i++) {
     const int segment = b->body->segment_of_role[roles[i]];
     if (segment >= 0) {
@@ -810,6 +845,7 @@ kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject
       clean_planted(&b, &b.groups[g]);
     }
     find_needed(&b, gravity);
+    find_fast_stances(&b);
     find_pivots(&b);
     find_rises(&b, pow(params->ease_time / b.dt, 4.0));
     displace_points(&b, away);

@@ -366,8 +366,8 @@ static void granted_wrench(const tracker *s, const kg_centroid *c, int k, double
 {
   const kg_vec3 f = s->reference->missing_force[k];
   const kg_vec3 arm = kg_vec3_sub(c->com, s->p[0]);
-  const kg_vec3 n = kg_mat3_mul_vec_t(
-    s->R[0], kg_vec3_add(s->reference->missing_moment[k], kg_vec3_cross(arm, f)));
+  const kg_vec3 n =
+    kg_mat3_mul_vec_t(s->R[0], kg_vec3_add(s->reference->missing_moment[k], kg_vec3_cross(arm, f)));
   const double all[6] = {f.x, f.y, f.z, n.x, n.y, n.z};
   memcpy(w, all, sizeof all);
 }

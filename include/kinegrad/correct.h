@@ -35,12 +35,12 @@ typedef struct kg_track_params {
   double plan_force;      /* m/s^2; residual force over mass that weighs as much in the plan as
                                 moving the body by 2 cm                                        */
   double plan_moment;     /* rad/s^2; residual moment over inertia, the same                */
-  double plan_patience;      /* of both together, beyond which the plan gives a frame up       */
-  double catch_speed;        /* m/s; fastest way of a planted point to its place               */
+  double plan_patience;   /* of both together, beyond which the plan gives a frame up       */
+  double catch_speed;     /* m/s; fastest way of a planted point to its place               */
   double joint_frequency; /* Hz; feedback of the joints, critically damped                  */
   double root_frequency;  /* Hz; feedback of the root, critically damped                    */
   double wrench_weight;   /* cost of the root wrench over that of the same acceleration     */
-  double flight_weight;      /* factor of both while nothing touches the ground                */
+  double flight_weight;   /* factor of both while nothing touches the ground                */
   double moment_weight;   /* the same for its moment                                        */
   double joint_damping;   /* N m s/rad; implicit velocity feedback of every joint           */
   double leg_weight;      /* kg m^2; cost of a leg joint's deviation, beside its inertia    */
