@@ -3,7 +3,7 @@
  * Unknown is the change D_t in R^nv of every frame, measured from the capture:
  *   min  1/2 sum_t |D_t|^2_W + tau^4/dt^4 |D_{t-1} - 2 D_t + D_{t+1}|^2_W
  *   s.t. Phi(x_k(q_t (+) D_t)) >= 0   for every point k and frame t
- * W is the diagonal of the mass matrix in the first frame. The second differences are why nothing
+ * W is the diagonal of the mass matrix in the first frame, light joints made heavier. The second differences are why nothing
  * pops: a change is eased in and out over about tau before and after a contact.
  *
  * Linearised in D (rows g = n'J), the dual is a quadratic over y >= 0 with the operator
@@ -19,15 +19,15 @@
 #include "kinegrad/correction.h"
 #include "kinegrad/dynamics.h"
 
-#include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-enum { LINEARISATIONS = 4, DUAL_ITERATIONS = 120, POWER_ITERATIONS = 12 };
+enum { LINEARISATIONS = 5, DUAL_ITERATIONS = 200, MAX_COLUMNS = 3 + 3 * 256 };
 
-static const double EASE_TIME_S = 0.06;
-static const double NEAR_M = 0.004; /* points nearer than this get a row        */
-static const double AIM_M = 2e-5;   /* distance asked for, above the tolerance  */
+static const double EASE_TIME_S = 0.1;
+static const double NEAR_M = 0.004;     /* points nearer than this get a row        */
+static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
+static const double AIM_M = 2e-5;       /* distance asked for, above the tolerance  */
 
 /* One constraint: point k in frame t. Its row is stored over the columns of its support path. */
 typedef struct row {
@@ -44,19 +44,20 @@ typedef struct smoothing {
   kg_dynamics *dynamics;
   kg_correct_result *result;
   int T, nv;
-  double *D;     /* (T, nv) change                      */
-  double *trial; /* (T, nv) A^-1 W^-1 G' z              */
-  double *W;     /* (nv)                                */
+  double *D;           /* (T, nv) change                      */
+  double *trial;       /* (T, nv) A^-1 W^-1 G' z              */
+  double *W;           /* (nv)                                */
+  kg_arena row_memory; /* of rows and entries, anew in every linearisation */
   row *rows;
-  size_t row_count, row_capacity;
+  size_t row_count;
   double *entries;
-  size_t entry_count, entry_capacity;
+  size_t entry_count;
   kg_smoother smoother;
   kg_vec3 *p;
   kg_mat3 *R;
 } smoothing;
 
-/* Calls f for every column on the path of a segment; columns of the root position first. */
+/* Columns on the path of a segment, the root's position first; returns how many. */
 static int path_columns(const kg_body *body, int segment, int columns[])
 {
   int n = 0;
@@ -71,52 +72,25 @@ static int path_columns(const kg_body *body, int segment, int columns[])
   return n;
 }
 
-static bool grow(void **memory, size_t *capacity, size_t needed, size_t size)
+/* n'J of a point, over the columns of its path */
+static void write_row(smoothing *s, row *r, kg_vec3 x, kg_vec3 normal)
 {
-  if (needed <= *capacity) {
-    return true;
-  }
-  const size_t larger = 2 * needed + 1024;
-  void *moved = realloc(*memory, larger * size);
-  if (!moved) {
-    return false;
-  }
-  *memory = moved;
-  *capacity = larger;
-  return true;
-}
-
-static bool add_row(smoothing *s, int t, int segment, kg_vec3 x, kg_sdf_value value)
-{
-  const size_t depth = (size_t)s->nv; /* at most one entry per column */
-  if (!grow((void **)&s->rows, &s->row_capacity, s->row_count + 1, sizeof *s->rows) ||
-      !grow((void **)&s->entries, &s->entry_capacity, s->entry_count + depth, sizeof *s->entries)) {
-    return false;
-  }
-  row *r = &s->rows[s->row_count++];
-  *r = (row){.frame = t, .segment = segment, .first = s->entry_count};
-  double *g = s->entries + s->entry_count;
-  const double n[3] = {value.normal.x, value.normal.y, value.normal.z};
-  int count = 0;
-  for (int k = 0; k < 3; k++) {
-    g[count++] = n[k];
-  }
-  for (int i = segment; i >= 0; i = s->body->segments[i].parent) {
+  double *g = s->entries + r->first;
+  *g++ = normal.x;
+  *g++ = normal.y;
+  *g++ = normal.z;
+  for (int i = r->segment; i >= 0; i = s->body->segments[i].parent) {
     /* n' (R e_k x (x - p)) = e_k' R' ((x - p) x n) */
-    const kg_vec3 arm =
-      kg_mat3_mul_vec_t(s->R[i], kg_vec3_cross(kg_vec3_sub(x, s->p[i]), value.normal));
-    g[count++] = arm.x;
-    g[count++] = arm.y;
-    g[count++] = arm.z;
+    const kg_vec3 arm = kg_mat3_mul_vec_t(s->R[i], kg_vec3_cross(kg_vec3_sub(x, s->p[i]), normal));
+    *g++ = arm.x;
+    *g++ = arm.y;
+    *g++ = arm.z;
   }
-  s->entry_count += (size_t)count;
-  r->bound = AIM_M - value.distance;
-  return true;
 }
 
 static double row_dot(const smoothing *s, const row *r, const double *D)
 {
-  int columns[3 + 3 * 256];
+  int columns[MAX_COLUMNS];
   const int n = path_columns(s->body, r->segment, columns);
   const double *g = s->entries + r->first, *d = D + (size_t)r->frame * (size_t)s->nv;
   double sum = 0.0;
@@ -128,7 +102,7 @@ static double row_dot(const smoothing *s, const row *r, const double *D)
 
 static void row_add(const smoothing *s, const row *r, double y, double *D)
 {
-  int columns[3 + 3 * 256];
+  int columns[MAX_COLUMNS];
   const int n = path_columns(s->body, r->segment, columns);
   const double *g = s->entries + r->first;
   double *d = D + (size_t)r->frame * (size_t)s->nv;
@@ -137,32 +111,61 @@ static void row_add(const smoothing *s, const row *r, double y, double *D)
   }
 }
 
-/* rows of every near point at q (+) D; bounds are for the whole change, not for its increment */
-static bool linearise(smoothing *s, bool *any_low)
+/* the pose of frame t at q (+) D */
+static void pose_frame(smoothing *s, int t)
 {
+  const size_t nq = (size_t)s->body->nq;
+  double *q = s->result->q + (size_t)t * nq; /* scratch: the result is written at the end */
+  kg_body_integrate(s->body, q, s->subject->q + (size_t)t * nq, s->D + (size_t)t * (size_t)s->nv);
+  kg_dynamics_pose(s->dynamics, q, s->p, s->R);
+}
+
+/* One pass over all points and frames: counts rows and entries, and writes them when there is memory
+ * for them. Bounds are for the whole change, not for its increment. *low: something penetrates. */
+static void pass_rows(smoothing *s, bool *low)
+{
+  int columns[MAX_COLUMNS];
   s->row_count = s->entry_count = 0;
-  *any_low = false;
-  double *q = s->result->q; /* scratch for this frame's pose: overwritten at the end anyway */
+  *low = false;
   for (int t = 0; t < s->T; t++) {
-    double *q_t = q + (size_t)t * (size_t)s->body->nq;
-    kg_body_integrate(s->body, q_t, s->subject->q + (size_t)t * (size_t)s->body->nq,
-                      s->D + (size_t)t * (size_t)s->nv);
-    kg_dynamics_pose(s->dynamics, q_t, s->p, s->R);
+    pose_frame(s, t);
     for (int k = 0; k < s->body->point_count; k++) {
       const kg_body_point *point = &s->body->points[k];
       const kg_vec3 x =
         kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
       const kg_sdf_value value = kg_scene_distance(&s->subject->scene, x);
-      if (value.distance < NEAR_M) {
-        if (!add_row(s, t, point->segment, x, value)) {
-          return false;
-        }
-        row *r = &s->rows[s->row_count - 1];
-        r->bound += row_dot(s, r, s->D);
-        *any_low = *any_low || value.distance < 0.0;
+      if (value.distance >= NEAR_M) {
+        continue;
       }
+      *low = *low || value.distance < 0.0;
+      if (s->rows) {
+        row *r = &s->rows[s->row_count];
+        *r = (row){.frame = t, .segment = point->segment, .first = s->entry_count};
+        write_row(s, r, x, value.normal);
+        r->bound = AIM_M - value.distance + row_dot(s, r, s->D);
+      }
+      s->row_count++;
+      s->entry_count += (size_t)path_columns(s->body, point->segment, columns);
     }
   }
+}
+
+/* rows of every near point at q (+) D; false without memory */
+static bool linearise(smoothing *s, bool *low)
+{
+  kg_arena_release(&s->row_memory);
+  s->rows = NULL;
+  pass_rows(s, low);
+  if (!*low) {
+    return true;
+  }
+  row *rows = KG_ARENA_ARRAY(&s->row_memory, row, s->row_count);
+  s->entries = KG_ARENA_ARRAY(&s->row_memory, double, s->entry_count);
+  if (kg_arena_failed(&s->row_memory)) {
+    return false;
+  }
+  s->rows = rows;
+  pass_rows(s, low);
   return true;
 }
 
@@ -183,35 +186,62 @@ static void apply_inverse(smoothing *s, double *out, bool extrapolated)
   }
 }
 
-/* largest eigenvalue of the dual operator, a little above: power iteration from ones */
-static double largest_eigenvalue(smoothing *s)
+/* Rows scaled to g W^-1 g' = 1: points on light segments must not set the step of all others. */
+static void normalise_rows(smoothing *s)
 {
-  double norm = 1.0;
   for (size_t i = 0; i < s->row_count; i++) {
-    s->rows[i].z = 1.0;
-  }
-  for (int round = 0; round < POWER_ITERATIONS; round++) {
-    apply_inverse(s, s->trial, true);
-    double sum2 = 0.0, size2 = 0.0;
-    for (size_t i = 0; i < s->row_count; i++) {
-      row *r = &s->rows[i];
-      size2 += r->z * r->z;
-      r->z = row_dot(s, r, s->trial);
-      sum2 += r->z * r->z;
+    row *r = &s->rows[i];
+    int columns[MAX_COLUMNS];
+    const int n = path_columns(s->body, r->segment, columns);
+    double *g = s->entries + r->first, size2 = 0.0;
+    for (int k = 0; k < n; k++) {
+      size2 += g[k] * g[k] / s->W[columns[k]];
     }
-    norm = sqrt(sum2 / size2);
-    const double scale = 1.0 / sqrt(sum2);
-    for (size_t i = 0; i < s->row_count; i++) {
-      s->rows[i].z *= scale;
+    const double scale = 1.0 / sqrt(size2);
+    for (int k = 0; k < n; k++) {
+      g[k] *= scale;
     }
+    r->bound *= scale;
   }
-  return 1.1 * norm;
+}
+
+/* Bound of the dual operator's largest eigenvalue: A^-1 <= 1, so that of the worst frame's block
+ * G_t W^-1 G_t', which is at most its largest row sum. Rows are stored frame by frame. */
+static double operator_bound(smoothing *s)
+{
+  double largest = 1.0;
+  double *probe = s->trial; /* one frame's worth of scratch */
+  for (size_t first = 0; first < s->row_count;) {
+    size_t end = first;
+    while (end < s->row_count && s->rows[end].frame == s->rows[first].frame) {
+      end++;
+    }
+    for (size_t i = first; i < end; i++) {
+      memset(probe, 0, (size_t)s->nv * sizeof *probe);
+      row here = s->rows[i];
+      here.frame = 0;
+      row_add(s, &here, 1.0, probe);
+      for (int j = 0; j < s->nv; j++) {
+        probe[j] /= s->W[j];
+      }
+      double sum = 0.0;
+      for (size_t k = first; k < end; k++) {
+        row other = s->rows[k];
+        other.frame = 0;
+        sum += fabs(row_dot(s, &other, probe));
+      }
+      largest = fmax(largest, sum);
+    }
+    first = end;
+  }
+  return largest;
 }
 
 /* [BT] (4.1)-(4.3) on the dual: y+ = max(0, z + (bound - g D(z)) / L), with restart on ascent */
 static void solve_dual(smoothing *s)
 {
-  const double step = 1.0 / largest_eigenvalue(s);
+  normalise_rows(s);
+  const double step = 1.0 / operator_bound(s);
   double momentum = 1.0;
   for (size_t i = 0; i < s->row_count; i++) {
     s->rows[i].y = s->rows[i].z = 0.0;
@@ -273,7 +303,7 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   if (status == KG_OK) {
     kg_dynamics_mass_matrix(s->dynamics, M, s->subject->q);
     for (size_t j = 0; j < nv; j++) {
-      s->W[j] = M[j * nv + j];
+      s->W[j] = fmax(M[j * nv + j], LEAST_WEIGHT);
     }
     kg_smoother_factor(&s->smoother, NULL, pow(EASE_TIME_S / s->subject->dt, 4.0));
   }
@@ -292,6 +322,7 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
                  .result = result,
                  .T = subject->frame_count,
                  .nv = subject->body->nv};
+  kg_arena_init(&s.row_memory, arena->allocator);
   kg_status status = smoothing_create(&s, &scratch);
   bool low = true;
   for (int round = 0; status == KG_OK && low && round < LINEARISATIONS; round++) {
@@ -308,8 +339,7 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
   }
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
   kg_dynamics_destroy(s.dynamics);
-  free(s.rows);
-  free(s.entries);
+  kg_arena_release(&s.row_memory);
   kg_arena_release(&scratch);
   clock_gettime(CLOCK_MONOTONIC, &end);
   result->ms_sdf =

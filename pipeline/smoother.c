@@ -12,23 +12,22 @@ void kg_smoother_create(kg_smoother *smoother, int count, kg_arena *arena)
 void kg_smoother_factor(kg_smoother *smoother, const double *weight, double tau4)
 {
   const int n = smoother->count;
-  double *D = smoother->D, *L1 = smoother->L1, *L2 = smoother->L2;
+  double D1 = 1.0, D2 = 1.0, L1_before = 0.0; /* D(t-1), D(t-2), L(t-1,t-2) */
   for (int t = 0; t < n; t++) {
     /* second differences centred at t-1, t and t+1, where they exist, touch y_t and its neighbours:
      * A(t,t) gets 1, 4, 1 of them, A(t,t-1) gets -2 of those centred at t-1 and t, A(t,t-2) one */
     const int before = t >= 2, here = t >= 1 && t + 1 < n, after = t + 2 < n;
-    double diagonal = 1.0 + (weight ? weight[t] : 0.0) + tau4 * (before + 4 * here + after);
-    L1[t] = L2[t] = 0.0;
-    if (t >= 2) {
-      L2[t] = tau4 / D[t - 2];
-      diagonal -= L2[t] * L2[t] * D[t - 2];
-    }
-    if (t >= 1) {
-      const double below = -2.0 * tau4 * (before + here);
-      L1[t] = (below - (t >= 2 ? L2[t] * L1[t - 1] * D[t - 2] : 0.0)) / D[t - 1];
-      diagonal -= L1[t] * L1[t] * D[t - 1];
-    }
-    D[t] = diagonal;
+    const double L2 = before ? tau4 / D2 : 0.0;
+    const double below = -2.0 * tau4 * (before + here);
+    const double L1 = t >= 1 ? (below - L2 * L1_before * D2) / D1 : 0.0;
+    const double own = 1.0 + (weight ? weight[t] : 0.0) + tau4 * (before + 4 * here + after);
+    const double D = own - L1 * L1 * D1 - L2 * L2 * D2;
+    smoother->D[t] = D;
+    smoother->L1[t] = L1;
+    smoother->L2[t] = L2;
+    D2 = D1;
+    D1 = D;
+    L1_before = L1;
   }
 }
 
