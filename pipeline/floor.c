@@ -30,6 +30,8 @@ static const double SLOPE_LIMIT = 0.03;
 static const double SMOOTHING_HZ = 12.0;
 static const double SLOW_M_PER_S = 0.2;   /* a foot at rest                                  */
 static const double SLOWEST_SHARE = 0.04; /* ... or among this share of its slowest frames   */
+/* where even those are faster, no foot rests: all frames count, and the low ones are taken */
+static const double RESTLESS_M_PER_S = 0.6;
 static const double LOW_M = 0.05;         /* above the lowest decile of the slow frames      */
 static const double RAISED_M = 0.08;      /* a foot that rests this far above the other one  */
 
@@ -87,7 +89,8 @@ static void find_stance(foot_path *path, double dt)
     path->speed[t] = fmax(speed_at(path->toe, t, n, dt), speed_at(path->ankle, t, n, dt));
     path->sorted[t] = path->speed[t];
   }
-  const double slow = fmax(SLOW_M_PER_S, quantile(path->sorted, n, SLOWEST_SHARE));
+  double slow = fmax(SLOW_M_PER_S, quantile(path->sorted, n, SLOWEST_SHARE));
+  slow = slow > RESTLESS_M_PER_S ? INFINITY : slow;
   int slow_count = 0;
   for (int t = 0; t < n; t++) {
     if (path->speed[t] <= slow) {
