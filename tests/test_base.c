@@ -30,16 +30,22 @@ static void arena_memory_is_zeroed_aligned_and_separate(void **state)
 static void arena_reports_every_refused_allocation(void **state)
 {
   (void)state;
-  for (int allowed = 0; allowed < 4; allowed++) {
+  enum { BLOCKS = 4 };
+  for (int allowed = 0; allowed <= BLOCKS; allowed++) {
     failing_heap heap = {.calls_left = allowed};
     const kg_allocator allocator = {failing_alloc, failing_free, &heap};
     kg_arena arena;
     kg_arena_init(&arena, &allocator);
-    for (int i = 0; i < 4; i++) {
-      /* larger than what a block twice as large as the last has left */
-      (void)kg_arena_alloc(&arena, (size_t)1 << (12 + 3 * i), 1);
+    for (int i = 0; i < BLOCKS; i++) {
+      /* eight times the last: more than a block twice as large as the last has left */
+      const void *memory = kg_arena_alloc(&arena, (size_t)1 << (12 + 3 * i), 1);
+      assert_int_equal(memory != NULL, i < allowed);
+      assert_int_equal(kg_arena_failed(&arena), i >= allowed);
     }
-    assert_int_equal(kg_arena_failed(&arena), allowed < 4);
+    assert_int_equal(heap.calls_left,
+                     allowed < BLOCKS ? -1 : 0); /* none is tried after a refusal */
+    /* once failed, even what would fit is refused */
+    assert_int_equal(kg_arena_alloc(&arena, 1, 1) != NULL, allowed == BLOCKS);
     kg_arena_release(&arena);
     assert_int_equal(heap.live_bytes, 0);
   }
@@ -70,7 +76,8 @@ static void matrix_and_quaternion_rotate_alike(void **state)
     assert_at_most(kg_vec3_norm(kg_vec3_sub(b, c)), 1e-14 * (1.0 + kg_vec3_norm(a)));
     assert_close(fabs(kg_quat_dot(q, back)), 1.0, 1e-14);
     const kg_quat to = kg_quat_between(a, b);
-    assert_at_most(kg_vec3_norm(kg_vec3_sub(kg_quat_rotate(to, a), b)), 1e-13 * (1.0 + kg_vec3_norm(a)));
+    assert_at_most(kg_vec3_norm(kg_vec3_sub(kg_quat_rotate(to, a), b)),
+                   1e-13 * (1.0 + kg_vec3_norm(a)));
   }
 }
 
