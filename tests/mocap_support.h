@@ -18,12 +18,15 @@ static inline void text_add(text_buffer *text, const char *format, ...) KG_PRINT
 static inline void text_add(text_buffer *text, const char *format, ...)
 {
   for (;;) {
-    va_list args;
-    va_start(args, format);
     const size_t room = text->capacity - text->length;
-    const int n = vsnprintf(text->at ? text->at + text->length : NULL, room, format, args);
-    va_end(args);
-    assert_true(n >= 0);
+    int n = 0;
+    if (room > 0) { /* not yet in the first round */
+      va_list args;
+      va_start(args, format);
+      n = vsnprintf(text->at + text->length, room, format, args);
+      va_end(args);
+      assert_true(n >= 0);
+    }
     if ((size_t)n < room) {
       text->length += (size_t)n;
       return;
