@@ -25,20 +25,15 @@ typedef struct setting {
   }
 
 static const setting SETTINGS[] = {
-  TRACK(smoothing_hz),    TRACK(plant_speed),
-  TRACK(plant_height),    TRACK(plant_flat),
-  TRACK(rest_height),     TRACK(clearance),
-  TRACK(clearance_speed), TRACK(ease_time),
-  TRACK(joint_frequency), TRACK(root_frequency),
-  TRACK(wrench_weight),   TRACK(moment_weight),
-  TRACK(friction_share),  TRACK(leg_weight),
-  TRACK(joint_damping),   TRACK(flight_weight),
-  TRACK(plan_patience),   TRACK(catch_speed),
-  TRACK(plan_force),      TRACK(plan_moment),
-  TRACK(trunk_weight),    CONTACT(layer),
-  CONTACT(floor_share),   CONTACT(force),
-  CONTACT(damping),       CONTACT(friction),
-  CONTACT(stick),         {"dt", offsetof(kg_correct_def, dt)},
+  TRACK(smoothing_hz),    TRACK(plant_speed),   TRACK(plant_height),
+  TRACK(plant_flat),      TRACK(rest_height),   TRACK(clearance),
+  TRACK(clearance_speed), TRACK(ease_time),     TRACK(joint_frequency),
+  TRACK(root_frequency),  TRACK(wrench_weight), TRACK(moment_weight),
+  TRACK(friction_share),  TRACK(leg_weight),    TRACK(joint_damping),
+  TRACK(plan_patience),   TRACK(catch_speed),   TRACK(plan_force),
+  TRACK(plan_moment),     TRACK(trunk_weight),  CONTACT(layer),
+  CONTACT(floor_share),   CONTACT(force),       CONTACT(damping),
+  CONTACT(friction),      CONTACT(stick),       {"dt", offsetof(kg_correct_def, dt)},
 };
 
 static int set_value(kg_correct_def *def, const char *text)
@@ -55,21 +50,24 @@ static int set_value(kg_correct_def *def, const char *text)
   return 0;
 }
 
-static void print_line(const char *path, const kg_correct_result *result, const kg_metrics *metrics)
+static void print_line(const char *path, const kg_subject *subject, const kg_correct_result *result,
+                       const kg_metrics *metrics)
 {
   const kg_motion_metrics *a = &metrics->capture, *b = &metrics->output;
   const char *name = strrchr(path, '/');
   printf(
     "%-20s %5d mpjpe %5.2f/%5.2f pen %.1e ev %.3f slip %.3f>%.3f mm %.3f>%.3f m/s amc %.2f>%.2f "
-    "val %.2f>%.2f mb %5.2f>%5.2f fb %4.0f>%4.0f acc %.2f res %.3f/%.2f mom %.3f/%.2f "
+    "val %.2f>%.2f mb %5.2f>%5.2f fb %4.0f>%4.0f acc %.2f(%s) res %.3f/%.2f mom %.3f/%.2f "
     "corr %.4f/%.3f newton %ld/%ld it %.2f un %d ms %.2f (step %.2f sdf %.2f) grf %.0f\n",
     name ? name + 1 : path, result->frame_count, 100 * metrics->mpjpe_m, 100 * metrics->mpjpe_max_m,
     b->penetration_max_m, b->penetration_events, 1e3 * a->slip_m, 1e3 * b->slip_m, a->slip_m_per_s,
     b->slip_m_per_s, a->angular_momentum_change, b->angular_momentum_change, a->validity,
     b->validity, a->momentum_balance, b->momentum_balance, a->force_balance, b->force_balance,
-    metrics->acceleration_peak_ratio, result->residual_force_rms, result->residual_force_peak,
-    result->residual_moment_rms, result->residual_moment_peak, result->correction_force_ratio,
-    result->correction_force_ratio_peak, result->steps_converged, result->steps,
+    metrics->acceleration_peak_ratio,
+    subject->body->segments[metrics->acceleration_peak_joint].name, result->residual_force_rms,
+    result->residual_force_peak, result->residual_moment_rms, result->residual_moment_peak,
+    result->correction_force_ratio, result->correction_force_ratio_peak, result->steps_converged,
+    result->steps,
     result->steps > 0 ? (double)result->newton_iterations / (double)result->steps : 0.0,
     result->unexplained_count, result->ms_per_frame, result->ms_step, result->ms_sdf,
     result->peak_grf);
@@ -90,7 +88,7 @@ static int score(const char *path, const kg_correct_def *def)
   if (status == KG_OK) status = kg_correct(&result, subject, def, &error);
   if (status == KG_OK) status = kg_metrics_create(&metrics, subject, result->q);
   if (status == KG_OK) {
-    print_line(path, result, metrics);
+    print_line(path, subject, result, metrics);
   } else {
     printf("%-24s %s %s\n", path, kg_status_text(status), error.text);
   }

@@ -17,7 +17,7 @@ static const double COM_SMOOTHING_HZ = 6.0;
 kg_track_params kg_track_default_params(void)
 {
   return (kg_track_params){
-    .smoothing_hz = 12.0,
+    .smoothing_hz = 8.0,
     .plant_speed = 0.2,
     .plant_height = 0.045,
     .plant_flat = 0.03,
@@ -30,12 +30,11 @@ kg_track_params kg_track_default_params(void)
     .plan_patience = 2.0,
     .catch_speed = 0.3,
     .joint_frequency = 4.0,
-    .root_frequency = 4.0,
-    .wrench_weight = 1.0,
-    .flight_weight = 1.0,
+    .root_frequency = 3.5,
+    .wrench_weight = 2.0,
     .moment_weight = 1.0,
-    .joint_damping = 100.0,
-    .leg_weight = 0.3,
+    .joint_damping = 60.0,
+    .leg_weight = 0.1,
     .trunk_weight = 10.0,
     .friction_share = 0.85,
   };

@@ -3,7 +3,8 @@
  * Unknown is the change D_t in R^nv of every frame, measured from the capture:
  *   min  1/2 sum_t |D_t|^2_W + tau^4/dt^4 |D_{t-1} - 2 D_t + D_{t+1}|^2_W
  *   s.t. Phi(x_k(q_t (+) D_t)) >= 0   for every point k and frame t
- * W is the diagonal of the mass matrix in the first frame, light joints made heavier. The second differences are why nothing
+ * W is the diagonal of the mass matrix in the first frame, light joints made heavier and the
+ * root's position lighter. The second differences are why nothing
  * pops: a change is eased in and out over about tau before and after a contact.
  *
  * Linearised in D (rows g = n'J), the dual is a quadratic over y >= 0 with the operator
@@ -22,12 +23,14 @@
 #include <string.h>
 #include <time.h>
 
-enum { LINEARISATIONS = 5, DUAL_ITERATIONS = 200, MAX_COLUMNS = 3 + 3 * 256 };
+enum { LINEARISATIONS = 5, DUAL_ITERATIONS = 300, MAX_COLUMNS = 3 + 3 * 256 };
 
 static const double EASE_TIME_S = 0.1;
 static const double NEAR_M = 0.004;     /* points nearer than this get a row        */
 static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
-static const double AIM_M = 2e-5;       /* distance asked for, above the tolerance  */
+static const double ROOT_SHARE =
+  0.1; /* the body rises rather than folds straight legs, whose knees jerk */
+static const double AIM_M = 2e-5; /* distance asked for, above the tolerance  */
 
 /* One constraint: point k in frame t. Its row is stored over the columns of its support path. */
 typedef struct row {
@@ -303,7 +306,7 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   if (status == KG_OK) {
     kg_dynamics_mass_matrix(s->dynamics, M, s->subject->q);
     for (size_t j = 0; j < nv; j++) {
-      s->W[j] = fmax(M[j * nv + j], LEAST_WEIGHT);
+      s->W[j] = fmax(M[j * nv + j], LEAST_WEIGHT) * (j < 3 ? ROOT_SHARE : 1.0);
     }
     kg_smoother_factor(&s->smoother, NULL, pow(EASE_TIME_S / s->subject->dt, 4.0));
   }

@@ -347,9 +347,7 @@ static void wrench_compliance(tracker *s, const kg_centroid *centroid, double Ri
       T[3 + i][j] = S.m[3 * i + j];
     }
   }
-  const double more = s->support_count > 0 ? 1.0 : s->params->flight_weight;
-  const double d[2] = {c.mass / (more * s->params->wrench_weight),
-                       inertia / (more * s->params->moment_weight)};
+  const double d[2] = {c.mass / s->params->wrench_weight, inertia / s->params->moment_weight};
   for (int i = 0; i < 6; i++) {
     for (int j = 0; j < 6; j++) {
       double sum = 0.0;

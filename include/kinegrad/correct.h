@@ -40,7 +40,6 @@ typedef struct kg_track_params {
   double joint_frequency; /* Hz; feedback of the joints, critically damped                  */
   double root_frequency;  /* Hz; feedback of the root, critically damped                    */
   double wrench_weight;   /* cost of the root wrench over that of the same acceleration     */
-  double flight_weight;   /* factor of both while nothing touches the ground                */
   double moment_weight;   /* the same for its moment                                        */
   double joint_damping;   /* N m s/rad; implicit velocity feedback of every joint           */
   double leg_weight;      /* kg m^2; cost of a leg joint's deviation, beside its inertia    */
