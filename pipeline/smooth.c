@@ -266,6 +266,16 @@ static void solve_dual(smoothing *s)
   apply_inverse(s, s->D, false);
 }
 
+static bool is_zero(const double *x, int n)
+{
+  for (int i = 0; i < n; i++) {
+    if (x[i] != 0.0) {
+      return false;
+    }
+  }
+  return true;
+}
+
 static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
 {
   kg_correction *correction = NULL;
@@ -273,9 +283,14 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
   cd.allocator = def->allocator;
   const kg_status status = kg_correction_create(&correction, &cd);
   for (int t = 0; status == KG_OK && t < s->T; t++) {
-    double *q = s->result->q + (size_t)t * (size_t)s->body->nq;
-    kg_body_integrate(s->body, q, s->subject->q + (size_t)t * (size_t)s->body->nq,
-                      s->D + (size_t)t * (size_t)s->nv);
+    const size_t nq = (size_t)s->body->nq;
+    double *q = s->result->q + (size_t)t * nq;
+    const double *captured = s->subject->q + (size_t)t * nq, *D = s->D + (size_t)t * (size_t)s->nv;
+    if (is_zero(D, s->nv)) { /* left bit for bit as it is: no renormalised quaternions */
+      memcpy(q, captured, nq * sizeof *q);
+    } else {
+      kg_body_integrate(s->body, q, captured, D);
+    }
     const kg_correction_report report = kg_correction_apply(correction, q, NULL, NULL);
     s->result->penetration[t] = report.d_pen_after;
     s->result->sdf_iterations += report.iterations;
