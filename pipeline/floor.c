@@ -32,8 +32,8 @@ static const double SLOW_M_PER_S = 0.2;   /* a foot at rest                     
 static const double SLOWEST_SHARE = 0.04; /* ... or among this share of its slowest frames   */
 /* where even those are faster, no foot rests: all frames count, and the low ones are taken */
 static const double RESTLESS_M_PER_S = 0.6;
-static const double LOW_M = 0.05;         /* above the lowest decile of the slow frames      */
-static const double RAISED_M = 0.08;      /* a foot that rests this far above the other one  */
+static const double LOW_M = 0.05;    /* above the lowest decile of the slow frames      */
+static const double RAISED_M = 0.08; /* a foot that rests this far above the other one  */
 
 /* The path of one foot over the motion frames. Arrays of T. */
 typedef struct foot_path {

@@ -20,6 +20,18 @@ KG_MUST_USE kg_status kg_floor_estimate(kg_floor *floor, const kg_clip *clip,
 /* q[nq] at frame number x (not whole: slerp and linear) of a motion (count, nq). */
 void kg_states_at(const kg_body *body, double *q, const double *states, int count, double x);
 
+/* A mapped body has at most 23 segments, so a path to the root at most this many columns. */
+enum { KG_PATH_COLUMNS = 3 + 3 * KG_ROLE_COUNT };
+
+/* Jacobian of the world position x of a point of a segment, at the pose p, R: J (3, n) over the
+ * columns[n] of its path, the root's position first; returns n. */
+int kg_point_rows(const kg_body *body, const kg_vec3 *p, const kg_mat3 *R, int segment, kg_vec3 x,
+                  double J[3][KG_PATH_COLUMNS], int columns[KG_PATH_COLUMNS]);
+
+/* H (nv, nv) += weight J'J, lower triangle and upper, and g += weight J'e. */
+void kg_add_normal_equations(double *H, double *g, int nv, double J[3][KG_PATH_COLUMNS],
+                             const int *columns, int n, const double e[3], double weight);
+
 /* ---- smoother.c ------------------------------------------------------------------------------ */
 
 /* Factor of the pentadiagonal A of  y'A y = sum_t (1 + weight_t) y_t^2 + tau4 (y_{t-1} - 2 y_t + y_{t+1})^2,

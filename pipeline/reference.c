@@ -523,38 +523,14 @@ static void displace_points(builder *b, int *away)
 
 /* ---- 4. inverse kinematics ------------------------------------------------------------------- */
 
-/* H += weight J'J, g += weight J'e for a point's target; J (3, nv) of the point */
+/* a point at x of a segment should move by e */
 static void add_target(builder *b, int segment, kg_vec3 x, kg_vec3 e, double weight)
 {
-  const int nv = b->body->nv;
-  int path[64], n = 0;
-  double J[3][3 * 64 + 3];
-  for (int k = 0; k < 3; k++) { /* root position */
-    for (int r = 0; r < 3; r++) {
-      J[r][k] = r == k;
-    }
-  }
-  for (int i = segment; i >= 0 && n < 64; i = b->body->segments[i].parent) {
-    const kg_mat3 arm = kg_mat3_mul(kg_mat3_skew(kg_vec3_sub(b->p[i], x)), b->R[i]);
-    for (int r = 0; r < 3; r++) {
-      for (int k = 0; k < 3; k++) {
-        J[r][3 + 3 * n + k] = arm.m[3 * r + k];
-      }
-    }
-    path[n++] = 3 + 3 * i;
-  }
+  double J[3][KG_PATH_COLUMNS];
+  int columns[KG_PATH_COLUMNS];
+  const int n = kg_point_rows(b->body, b->p, b->R, segment, x, J, columns);
   const double error[3] = {e.x, e.y, e.z};
-  for (int a = 0; a < 3 + 3 * n; a++) {
-    const int row = a < 3 ? a : path[(a - 3) / 3] + (a - 3) % 3;
-    for (int c = 0; c < 3 + 3 * n; c++) {
-      const int column = c < 3 ? c : path[(c - 3) / 3] + (c - 3) % 3;
-      if (column <= row) {
-        b->H[(size_t)row * (size_t)nv + (size_t)column] +=
-          weight * (J[0][a] * J[0][c] + J[1][a] * J[1][c] + J[2][a] * J[2][c]);
-      }
-    }
-    b->g[row] += weight * (J[0][a] * error[0] + J[1][a] * error[1] + J[2][a] * error[2]);
-  }
+  kg_add_normal_equations(b->H, b->g, b->body->nv, J, columns, n, error, weight);
 }
 
 static bool in_leg_or_arm(const kg_body *body, int segment)

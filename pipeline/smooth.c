@@ -20,10 +20,11 @@
 #include "kinegrad/correction.h"
 #include "kinegrad/dynamics.h"
 
+#include <pthread.h>
 #include <string.h>
 #include <time.h>
 
-enum { LINEARISATIONS = 5, DUAL_ITERATIONS = 300, MAX_COLUMNS = 3 + 3 * 256 };
+enum { LINEARISATIONS = 5, DUAL_ITERATIONS = 300, MAX_COLUMNS = 3 + 3 * 256, MAX_THREADS = 16 };
 
 static const double EASE_TIME_S = 0.1;
 static const double NEAR_M = 0.004;     /* points nearer than this get a row        */
@@ -276,14 +277,24 @@ static bool is_zero(const double *x, int n)
   return true;
 }
 
-static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
+/* A share of the frames, corrected one by one; each worker has its own. */
+typedef struct finisher {
+  const smoothing *s;
+  const kg_correct_def *def;
+  kg_correction *correction;
+  int first, end;
+  bool reports; /* progress comes from the calling thread only */
+  bool interrupted;
+  int iterations;
+  pthread_t thread;
+} finisher;
+
+static void *finish_share(void *user)
 {
-  kg_correction *correction = NULL;
-  kg_correction_def cd = kg_correction_default_def(s->body, &s->subject->scene);
-  cd.allocator = def->allocator;
-  const kg_status status = kg_correction_create(&correction, &cd);
-  for (int t = 0; status == KG_OK && t < s->T; t++) {
-    const size_t nq = (size_t)s->body->nq;
+  finisher *f = user;
+  const smoothing *s = f->s;
+  const size_t nq = (size_t)s->body->nq;
+  for (int t = f->first; t < f->end; t++) {
     double *q = s->result->q + (size_t)t * nq;
     const double *captured = s->subject->q + (size_t)t * nq, *D = s->D + (size_t)t * (size_t)s->nv;
     if (is_zero(D, s->nv)) { /* left bit for bit as it is: no renormalised quaternions */
@@ -291,16 +302,54 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
     } else {
       kg_body_integrate(s->body, q, captured, D);
     }
-    const kg_correction_report report = kg_correction_apply(correction, q, NULL, NULL);
+    const kg_correction_report report = kg_correction_apply(f->correction, q, NULL, NULL);
     s->result->penetration[t] = report.d_pen_after;
-    s->result->sdf_iterations += report.iterations;
-    if (def->progress && t % 64 == 0 &&
-        !def->progress(0.8 + 0.2 * t / s->T, "sdf", def->progress_user)) {
-      s->result->interrupted = true;
+    f->iterations += report.iterations;
+    if (f->reports && t % 64 == 0 &&
+        !f->def->progress(0.8 + 0.2 * (t - f->first) / (f->end - f->first), "sdf",
+                          f->def->progress_user)) {
+      f->interrupted = true;
       break;
     }
   }
-  kg_correction_destroy(correction);
+  return NULL;
+}
+
+/* Frames do not depend on each other here, so the number of threads does not show in the result. */
+static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
+{
+  finisher workers[MAX_THREADS] = {{0}};
+  const int count = def->threads < 1 ? 1 : def->threads > MAX_THREADS ? MAX_THREADS : def->threads;
+  kg_correction_def cd = kg_correction_default_def(s->body, &s->subject->scene);
+  cd.allocator = def->allocator;
+  kg_status status = KG_OK;
+  for (int i = 0; i < count && status == KG_OK; i++) {
+    workers[i] = (finisher){.s = s,
+                            .def = def,
+                            .reports = i == 0 && def->progress,
+                            .first = (int)((long)s->T * i / count),
+                            .end = (int)((long)s->T * (i + 1) / count)};
+    status = kg_correction_create(&workers[i].correction, &cd);
+  }
+  int started = 1;
+  while (status == KG_OK && started < count &&
+         pthread_create(&workers[started].thread, NULL, finish_share, &workers[started]) == 0) {
+    started++;
+  }
+  if (status == KG_OK) {
+    (void)finish_share(&workers[0]);
+    for (int i = started; i < count; i++) { /* no thread was to be had: done here */
+      (void)finish_share(&workers[i]);
+    }
+  }
+  for (int i = 1; i < started && status == KG_OK; i++) {
+    pthread_join(workers[i].thread, NULL);
+  }
+  for (int i = 0; i < count; i++) {
+    s->result->sdf_iterations += workers[i].iterations;
+    s->result->interrupted = s->result->interrupted || workers[i].interrupted;
+    kg_correction_destroy(workers[i].correction);
+  }
   return status;
 }
 

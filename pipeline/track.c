@@ -228,28 +228,6 @@ static void list_edges(tracker *s)
   }
 }
 
-/* rows of the point Jacobian at the pose in s->p, s->R: (3, n); columns[] as filled; returns n */
-static int point_rows(const tracker *s, int segment, kg_vec3 x, double J[3][195], int columns[195])
-{
-  int n = 0;
-  for (int k = 0; k < 3; k++, n++) {
-    columns[n] = k;
-    for (int r = 0; r < 3; r++) {
-      J[r][n] = r == k;
-    }
-  }
-  for (int i = segment; i >= 0 && n + 3 <= 195; i = s->body->segments[i].parent) {
-    const kg_mat3 arm = kg_mat3_mul(kg_mat3_skew(kg_vec3_sub(s->p[i], x)), s->R[i]);
-    for (int k = 0; k < 3; k++, n++) {
-      columns[n] = 3 + 3 * i + k;
-      for (int r = 0; r < 3; r++) {
-        J[r][n] = arm.m[3 * r + k];
-      }
-    }
-  }
-  return n;
-}
-
 /* velocity a planted point should have: none along the ground once it stands, towards its place
  * before; along the normal towards the rest height */
 static kg_vec3 planted_velocity(const tracker *s, const kg_planted_point *planted, kg_vec3 x,
@@ -265,7 +243,6 @@ static kg_vec3 planted_velocity(const tracker *s, const kg_planted_point *plante
 /* H += rho J'J and g += rho J'(u - J v_next)/h of the planted points of frame k */
 static void add_planted(tracker *s, int k)
 {
-  const int nv = s->body->nv;
   for (int i = 0; i < s->reference->planted_count[k]; i++) {
     const kg_planted_point *planted = &s->reference->planted[k * KG_MAX_PLANTED + i];
     if (planted->rolls) {
@@ -274,23 +251,17 @@ static void add_planted(tracker *s, int k)
     const kg_vec3 x = point_at(s, planted->point);
     const double phi = kg_scene_distance(&s->subject->scene, x).distance;
     const kg_vec3 target = planted_velocity(s, planted, x, phi);
-    double J[3][195], e[3] = {target.x, target.y, target.z};
-    int columns[195];
-    const int n = point_rows(s, s->body->points[planted->point].segment, x, J, columns);
+    double J[3][KG_PATH_COLUMNS], e[3] = {target.x, target.y, target.z};
+    int columns[KG_PATH_COLUMNS];
+    const int n =
+      kg_point_rows(s->body, s->p, s->R, s->body->points[planted->point].segment, x, J, columns);
     for (int r = 0; r < 3; r++) {
       for (int c = 0; c < n; c++) {
         e[r] -= J[r][c] * s->v_next[columns[c]];
       }
       e[r] /= s->h;
     }
-    for (int a = 0; a < n; a++) {
-      const size_t row = (size_t)columns[a] * (size_t)nv;
-      s->g[columns[a]] += PLANTED_WEIGHT * (J[0][a] * e[0] + J[1][a] * e[1] + J[2][a] * e[2]);
-      for (int b = 0; b < n; b++) {
-        s->H[row + (size_t)columns[b]] +=
-          PLANTED_WEIGHT * (J[0][a] * J[0][b] + J[1][a] * J[1][b] + J[2][a] * J[2][b]);
-      }
-    }
+    kg_add_normal_equations(s->H, s->g, s->body->nv, J, columns, n, e, PLANTED_WEIGHT);
   }
 }
 
@@ -300,9 +271,10 @@ static void add_kept_out(tracker *s)
   const int nv = s->body->nv;
   for (int i = 0; i < s->kept_out_count; i++) {
     const support *out = &s->kept_out[i];
-    double J[3][195], row[195];
-    int columns[195];
-    const int n = point_rows(s, s->body->points[out->point].segment, out->x, J, columns);
+    double J[3][KG_PATH_COLUMNS], row[KG_PATH_COLUMNS];
+    int columns[KG_PATH_COLUMNS];
+    const int n =
+      kg_point_rows(s->body, s->p, s->R, s->body->points[out->point].segment, out->x, J, columns);
     double e = KEEP_OUT_SHARE / s->h * (out->floor - out->phi) / s->h;
     for (int c = 0; c < n; c++) {
       row[c] = out->normal.x * J[0][c] + out->normal.y * J[1][c] + out->normal.z * J[2][c];

@@ -57,7 +57,8 @@ typedef struct kg_correct_def {
                                     at most 0.01                                              */
   double gravity; /* m/s^2, default 9.8                                        */
   kg_contact_params contact;
-  int threads;              /* default 1; results do not depend on it                    */
+  int threads;              /* default 1, at most 16; used where frames do not depend on each
+                               other (sdf); results do not depend on it                     */
   kg_progress_fn *progress; /* NULL: none                                                */
   void *progress_user;
   const kg_allocator *allocator;
