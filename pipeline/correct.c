@@ -161,7 +161,7 @@ static double height_of_com(const kg_subject *subject, const kg_correct_result *
   return sum / r->frame_count;
 }
 
-static void summarize_forces(kg_correct_result *r, double com_height)
+static void summarize_forces(kg_correct_result *r, double com_height, double weight)
 {
   double force2 = 0.0, moment2 = 0.0, correction2 = 0.0, force = 0.0, moment = 0.0,
          correction = 0.0;
@@ -178,8 +178,10 @@ static void summarize_forces(kg_correct_result *r, double com_height)
     moment = fmax(moment, n);
     correction = fmax(correction, r->correction_force[t]);
   }
-  if (r->peak_grf > 0.0) {
-    const double per_force = 1.0 / r->peak_grf, per_moment = 1.0 / (r->peak_grf * com_height);
+  /* where the ground carries nothing at all, the residual must not look like none */
+  const double unit = r->peak_grf > 0.0 ? r->peak_grf : weight;
+  if (unit > 0.0) {
+    const double per_force = 1.0 / unit, per_moment = 1.0 / (unit * com_height);
     r->residual_force_rms = per_force * sqrt(force2 / r->frame_count);
     r->residual_force_peak = per_force * force;
     r->residual_moment_rms = per_moment * sqrt(moment2 / r->frame_count);
@@ -189,12 +191,12 @@ static void summarize_forces(kg_correct_result *r, double com_height)
   }
 }
 
-static kg_status summarize(kg_correct_result *r, const kg_subject *subject)
+static kg_status summarize(kg_correct_result *r, const kg_subject *subject, double gravity)
 {
   kg_dynamics *dynamics = NULL;
   const kg_status status = kg_dynamics_create(&dynamics, subject->body, r->allocator);
   if (status == KG_OK) {
-    summarize_forces(r, height_of_com(subject, r, dynamics));
+    summarize_forces(r, height_of_com(subject, r, dynamics), gravity * subject->body->mass);
   }
   kg_dynamics_destroy(dynamics);
   return status;
@@ -220,7 +222,7 @@ kg_status kg_correct(kg_correct_result **result, const kg_subject *subject,
   if (status == KG_OK && !r->interrupted) {
     status = find_unexplained(r, subject, def->gravity);
     if (status == KG_OK && def->method == KG_CORRECT_TRACK) {
-      status = summarize(r, subject);
+      status = summarize(r, subject, def->gravity);
     }
   }
   if (status != KG_OK) {
