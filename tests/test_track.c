@@ -364,6 +364,9 @@ static void what_no_contact_explains_is_marked(void **state)
     marked += r->unexplained[t];
   }
   assert_int_equal(marked, r->unexplained_count);
+  /* the residual holds it, and says so: as much as the weight */
+  assert_true(r->peak_grf == 0.0);
+  assert_close(r->residual_force_rms, 1.0, 0.15);
   kg_correct_result_destroy(r);
   kg_subject_destroy(subject);
 
