@@ -1,6 +1,9 @@
 /* Scores a method on clips: one line of metrics per clip, for tuning and for the tables in docs/design.
  *
- *   score_clips [--sdf] [name=value ...] CLIP...     name: a member of kg_track_params or contact.X
+ *   score_clips [--sdf] [--csv] [name=value ...] CLIP...
+ *
+ * name is a member of kg_track_params, contact.X, or dt. --csv prints comma-separated values under one
+ * line of names (SI units); scripts/cross-validate reads them.
  */
 #include <math.h>
 #include <stdio.h>
@@ -74,7 +77,29 @@ static void print_line(const char *path, const kg_subject *subject, const kg_cor
   fflush(stdout);
 }
 
-static int score(const char *path, const kg_correct_def *def)
+static void print_csv_names(void)
+{
+  printf("clip,frames,mpjpe_m,mpjpe_max_m,penetration_max_m,slip_m_per_s,slip_capture_m_per_s,"
+         "balance,balance_capture,residual_rms,residual_peak,correction_ratio,peak_ratio,"
+         "steps_failed_share,ms_per_frame\n");
+}
+
+static void print_csv(const char *path, const kg_correct_result *result, const kg_metrics *metrics)
+{
+  const kg_motion_metrics *a = &metrics->capture, *b = &metrics->output;
+  const char *name = strrchr(path, '/');
+  const double failed =
+    result->steps > 0 ? 1.0 - (double)result->steps_converged / (double)result->steps : 0.0;
+  printf("%s,%d,%.6f,%.6f,%.3e,%.6f,%.6f,%.4f,%.4f,%.5f,%.4f,%.6f,%.4f,%.6f,%.3f\n",
+         name ? name + 1 : path, result->frame_count, metrics->mpjpe_m, metrics->mpjpe_max_m,
+         b->penetration_max_m, b->slip_m_per_s, a->slip_m_per_s, b->momentum_balance,
+         a->momentum_balance, result->residual_force_rms, result->residual_force_peak,
+         result->correction_force_ratio, metrics->acceleration_peak_ratio, failed,
+         result->ms_per_frame);
+  fflush(stdout);
+}
+
+static int score(const char *path, const kg_correct_def *def, int csv)
 {
   kg_clip *clip = NULL;
   kg_subject *subject = NULL;
@@ -88,9 +113,13 @@ static int score(const char *path, const kg_correct_def *def)
   if (status == KG_OK) status = kg_correct(&result, subject, def, &error);
   if (status == KG_OK) status = kg_metrics_create(&metrics, subject, result->q);
   if (status == KG_OK) {
-    print_line(path, subject, result, metrics);
+    if (csv) {
+      print_csv(path, result, metrics);
+    } else {
+      print_line(path, subject, result, metrics);
+    }
   } else {
-    printf("%-24s %s %s\n", path, kg_status_text(status), error.text);
+    fprintf(stderr, "%s: %s %s\n", path, kg_status_text(status), error.text);
   }
   kg_metrics_destroy(metrics);
   kg_correct_result_destroy(result);
@@ -102,14 +131,17 @@ static int score(const char *path, const kg_correct_def *def)
 int main(int argc, char **argv)
 {
   kg_correct_def def = kg_correct_default_def();
-  int good = 1;
+  int good = 1, csv = 0;
   for (int i = 1; i < argc; i++) {
     if (strcmp(argv[i], "--sdf") == 0) {
       def.method = KG_CORRECT_SDF;
+    } else if (strcmp(argv[i], "--csv") == 0) {
+      csv = 1;
+      print_csv_names();
     } else if (strchr(argv[i], '=')) {
       good = set_value(&def, argv[i]) && good;
     } else {
-      good = score(argv[i], &def) && good;
+      good = score(argv[i], &def, csv) && good;
     }
   }
   return good ? 0 : 1;
