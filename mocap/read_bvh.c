@@ -116,20 +116,26 @@ static bool grow(bvh_reader *reader)
   return true;
 }
 
+static long column_of(const kg_text *text)
+{
+  return (long)(text->at - text->line_start) + 1;
+}
+
 /* after ROOT or JOINT */
 static kg_status open_joint(bvh_reader *reader)
 {
+  kg_text_skip_spaces(&reader->text);
   const kg_text at = reader->text;
   const kg_word name = kg_text_rest(&reader->text, '{');
   if (name.length == 0) {
     return fail(reader, "the name of the joint");
   }
   if (reader->joint_count == MOST_JOINTS) {
-    return kg_fail(reader->error, KG_ERR_FORMAT, at.path, at.line, 0,
+    return kg_fail(reader->error, KG_ERR_FORMAT, at.path, at.line, column_of(&at),
                    "more than %d joints, expected a skeleton", MOST_JOINTS);
   }
   if (reader->depth == DEEPEST) {
-    return kg_fail(reader->error, KG_ERR_FORMAT, at.path, at.line, 0,
+    return kg_fail(reader->error, KG_ERR_FORMAT, at.path, at.line, column_of(&at),
                    "joints are nested more than %d deep, expected a skeleton", DEEPEST);
   }
   if (reader->joint_count == reader->joint_capacity && !grow(reader)) {

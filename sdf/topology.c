@@ -279,8 +279,9 @@ static kg_status check_input(const kg_vec3 *vertices, int vertex_count, const in
   }
   for (size_t k = 0; k < 3 * (size_t)triangle_count; k++) {
     if (triangles[k] < 0 || triangles[k] >= vertex_count) {
-      return kg_fail(error, KG_ERR_FORMAT, "", 0, 0, "triangle %zu uses vertex %lld of %d vertices",
-                     k / 3 + 1, (long long)triangles[k] + 1, vertex_count);
+      return kg_fail(error, KG_ERR_FORMAT, "", 0, 0,
+                     "triangle %zu uses vertex %lld, expected 1 to %d (counted from 1)", k / 3 + 1,
+                     (long long)triangles[k] + 1, vertex_count);
     }
   }
   return KG_OK;

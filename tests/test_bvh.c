@@ -560,6 +560,7 @@ static void nesting_without_end_is_refused(void **state)
                    KG_ERR_FORMAT);
   assert_non_null(strstr(error.text, "nested more than 512 deep"));
   assert_int_equal(error.line, 2 + 3 * 512);
+  assert_int_equal(error.column, 7); /* of the name after JOINT */
   text_free(&text);
   /* joints without channels must not multiply a small file into much memory */
   text_add(&text, "HIERARCHY\nROOT r {OFFSET 0 0 0\nCHANNELS 1 Xrotation\n");
