@@ -14,4 +14,5 @@ install(FILES ${PROJECT_BINARY_DIR}/kinegradConfig.cmake
 file(RELATIVE_PATH KG_PC_TO_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
 configure_file(cmake/kinegrad.pc.in kinegrad.pc @ONLY)
 install(FILES ${PROJECT_BINARY_DIR}/kinegrad.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+install(DIRECTORY docs DESTINATION ${CMAKE_INSTALL_DOCDIR})
 install(FILES README.md LICENSE CHANGELOG.md DESTINATION ${CMAKE_INSTALL_DOCDIR})

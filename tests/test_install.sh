@@ -85,6 +85,12 @@ check_version() {
 }
 check_version
 
+if ! [ -s "$prefix/share/doc/kinegrad/docs/guide/read-the-report.md" ]; then
+  echo "the guide is not installed beside the README that points to it" >&2
+  exit 1
+fi
+echo "documents: good"
+
 # nothing but the interface is exported
 extra=$(nm -D --defined-only "$libdir"/libkinegrad.so | awk '$2 ~ /[TDBR]/ && $3 !~ /^kg_/ {print $3}' | head -3)
 if [ -n "$extra" ]; then
