@@ -1,4 +1,4 @@
-/* The metrics of DESIGN section 10 as a table and as JSON; shared by correct and eval. */
+/* The metrics as a table and as JSON; shared by correct and eval. */
 #ifndef CLI_SCORES_H
 #define CLI_SCORES_H
 

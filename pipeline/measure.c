@@ -1,5 +1,5 @@
-/* Metrics of one motion: penetration, slip, angular momentum (DESIGN section 10; definitions and
- * choices in docs/theory/metrics.md).
+/* Metrics of one motion: penetration, slip, angular momentum (definitions and choices:
+ * docs/theory/metrics.md).
  *
  * Velocities are central differences of states, v_t = (q_{t+1} (-) q_{t-1}) / 2 dt, one-sided at the
  * ends. Every division is by a count that is checked first: an absent quantity is 0, never NaN. */

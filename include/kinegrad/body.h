@@ -3,7 +3,7 @@
  * A body is a tree of rigid segments, one per joint; segment i turns about joint i by a ball joint.
  * Segment 0 is the root, free in space. Segment frames are the joint frames of the clip.
  *
- * State (DESIGN section 5):
+ * State (docs/theory/dynamics.md):
  *   q  (nq = 3 + 4 n)  root position in the world, then one unit quaternion (w x y z) per segment:
  *                      the root's in the world, the others' relative to the parent
  *   v  (nv = 3 + 3 n)  root linear velocity in world axes, then one angular velocity per segment,
@@ -66,7 +66,7 @@ typedef struct kg_body_point {
   kg_vec3 p; /* in the segment frame, m */
 } kg_body_point;
 
-/* How a foot stands: found from stance frames of the clip (DESIGN: per-foot sole offsets). */
+/* How a foot stands: found from stance frames of the clip (docs/theory/track.md, section 1). */
 typedef struct kg_foot_fit {
   kg_vec3 up_ankle;     /* unit: floor normal in the ankle segment's frame when the foot is flat */
   kg_vec3 up_toe;       /* the same in the toe segment's frame                                   */
@@ -129,7 +129,7 @@ KG_API void kg_body_state_from_clip(const kg_body *body, const kg_clip *clip, in
 KG_API void kg_body_state_to_clip(const kg_body *body, const double *q, kg_clip *clip, int frame,
                                   int previous_frame);
 
-/* q_out = q (+) d: exponential map on every rotation (DESIGN section 5). d[nv]; q_out may be q. */
+/* q_out = q (+) d: exponential map on every rotation. d[nv]; q_out may be q. */
 KG_API void kg_body_integrate(const kg_body *body, double *q_out, const double *q, const double *d);
 
 /* d = q_b (-) q_a, so that q_a (+) d = q_b. */

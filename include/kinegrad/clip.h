@@ -141,7 +141,7 @@ KG_API void kg_clip_world(const kg_clip *clip, int frame, kg_vec3 *positions, kg
 /* Index of the joint with this name (exact), or -1. */
 KG_API int kg_clip_find(const kg_clip *clip, const char *name);
 
-/* ---- the canonical skeleton of 23 joints (DESIGN section 5) ---------------------------------- */
+/* ---- the canonical skeleton of 23 joints ----------------------------------------------------- */
 
 /* clang-format off */
 #define KG_ROLE_LIST(X)                                                                            \

@@ -1,7 +1,7 @@
 /* kinegrad/contact.h - compliant contact in a thin layer outside the rigid surface.
  *
- * The layer (DESIGN section 6): force starts at Phi = layer and grows without bound towards the
- * surface, so weight is carried at Phi > 0 and the rigid sample points stay out of the ground.
+ * The layer (docs/theory/contact.md): force starts at Phi = layer and grows without bound towards
+ * the surface, so weight is carried at Phi > 0 and the rigid sample points stay out of the ground.
  *
  * Normal force of a point at distance Phi that moves at Phi_dot, with d = layer - Phi > 0:
  *   f_n = f_layer * d^2 / (layer * Phi) * ramp(1 - damping * Phi_dot)       for Phi >= floor

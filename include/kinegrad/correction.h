@@ -1,4 +1,4 @@
-/* kinegrad/correction.h - penetration of a pose and its correction (Eq. 9 to 11; DESIGN section 7).
+/* kinegrad/correction.h - penetration of a pose and its correction (docs/theory/sdf.md).
  *
  *   d_pen  = max_k max(-Phi(x_k), 0)                                                     (9)
  *   L_coll = sum_k max(-Phi(x_k), 0)^2                                                   (10)
@@ -9,7 +9,8 @@
  *
  * Second order: the least move D in the mass metric of the start, min 1/2 D' M(q_0) D subject to
  * Phi_k(q_0 (+) D) >= 0, by sequential quadratic programming. The gradient method ends with the same
- * steps, so that both leave the body at the surface. Method and limits: docs/theory/sdf.md. */
+ * steps, so that both leave the body at the surface.
+ * (9) to (11) are equations of the paper cited there. */
 #ifndef KINEGRAD_CORRECTION_H
 #define KINEGRAD_CORRECTION_H
 

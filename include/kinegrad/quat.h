@@ -1,7 +1,7 @@
 /* kinegrad/quat.h - unit quaternions (w first, Hamilton product) and the rotation group SO(3).
  *
  * Rotation vectors are axis times angle, rad. Perturbations are on the right (body side):
- * R exp([d]x), as in DESIGN section 5: q (+) h v = q * exp(h w), w in body coordinates.
+ * R exp([d]x), as in docs/theory/dynamics.md: q (+) h v = q * exp(h w), w in body coordinates.
  *
  * [SOLA] J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics,
  *        arXiv:1812.01537, 2018: exp (101), log (103), right Jacobian (143). */

@@ -1,7 +1,7 @@
 /* kinegrad/sdf.h - signed distance fields: shapes, triangle meshes, and scenes made of them.
  *
- * Phi(x) in metres: positive outside the solid, negative inside, zero on the surface (the paper,
- * section III.C). All points in world coordinates unless said otherwise. */
+ * Phi(x) in metres: positive outside the solid, negative inside, zero on the surface (the paper
+ * of docs/theory/sdf.md, section III.C). All points in world coordinates unless said otherwise. */
 #ifndef KINEGRAD_SDF_H
 #define KINEGRAD_SDF_H
 

@@ -1,4 +1,4 @@
-/* kinegrad/step.h - one backward Euler step of a body with contact (Eq. 7, 8; DESIGN section 6).
+/* kinegrad/step.h - one backward Euler step of a body with contact (docs/theory/dynamics.md).
  *
  * Solves for the end-of-step velocity v':
  *   G(v') = ID(q', v', (v' - v)/dt) + c v'_joint - tau - J_c(q')' f_c(q', v') = 0,
@@ -6,7 +6,7 @@
  * by Newton's method with line search on |diag(M(q))^-1/2 G dt| (kg^1/2 m/s), exact Jacobian,
  * sparse LU along the tree (leaf to root, no fill-in). Where Newton fails from the starting guess,
  * the step is solved with a softened contact law first and followed to the true one; where that
- * fails too, it is repeated in 2, 4, ... sub-steps and counted. docs/theory/dynamics.md, contact.md. */
+ * fails too, it is repeated in 2, 4, ... sub-steps and counted. Contact: docs/theory/contact.md. */
 #ifndef KINEGRAD_STEP_H
 #define KINEGRAD_STEP_H
 

@@ -2,7 +2,7 @@
  * mapping, floor, feet, body, scene, and the motion as body states.
  *
  * The metrics of an output use the subject of its capture, so that both share one floor and one
- * body (DESIGN section 10). */
+ * body (docs/theory/metrics.md). */
 #ifndef KINEGRAD_SUBJECT_H
 #define KINEGRAD_SUBJECT_H
 
