@@ -9,7 +9,7 @@
 
 /* ---- non-negative least squares -------------------------------------------------------------- */
 
-/* The weights of the validity score from the paper's Table 2: events, change of angular momentum
+/* The weights of the validity score from Table 2 of the paper (docs/theory/metrics.md): events, change of angular momentum
  * (kg m^2/s), slip (mm), score. */
 static void nnls_finds_the_weights_of_table_2(void **state)
 {
@@ -395,6 +395,24 @@ static void force_and_moment_go_together(void **state)
   release(&s, m);
 }
 
+/* A joint at rest counts as accelerated at 1 m/s^2: noise below that is no peak. */
+static void acceleration_peaks_of_a_still_capture(void **state)
+{
+  (void)state;
+  const int T = 40;
+  const double dt = 0.01, kicks[2] = {2e-5, 2e-4}, expected[2] = {1.0, 4.0}; /* 2 kick / dt^2 */
+  for (int k = 0; k < 2; k++) {
+    scene s = brick_scene(T, dt);
+    for (int t = 0; t < T; t++) {
+      put(s.q, t, kg_vec3_make(0.0, 2.0, 0.0), kg_quat_identity());
+      put(s.out, t, kg_vec3_make(0.0, t == 20 ? 2.0 + kicks[k] : 2.0, 0.0), kg_quat_identity());
+    }
+    kg_metrics *m = metrics_of(&s);
+    assert_close(m->acceleration_peak_ratio, expected[k], 1e-8);
+    release(&s, m);
+  }
+}
+
 /* x = j t^3 / 6 has jerk j at every frame; a single displaced frame has a known acceleration. */
 static void jerk_and_acceleration_peaks_are_those_of_the_formula(void **state)
 {
@@ -674,6 +692,7 @@ int main(void)
     cmocka_unit_test(jitter_is_smoothed_before_it_is_differentiated),
     cmocka_unit_test(the_lowest_points_of_a_segment_carry_it),
     cmocka_unit_test(force_and_moment_go_together),
+    cmocka_unit_test(acceleration_peaks_of_a_still_capture),
     cmocka_unit_test(jerk_and_acceleration_peaks_are_those_of_the_formula),
     cmocka_unit_test(spectral_arc_length_is_the_published_one),
     cmocka_unit_test(short_clips_are_measured_too),

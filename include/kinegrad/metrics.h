@@ -1,5 +1,5 @@
-/* kinegrad/metrics.h - the numbers of DESIGN section 10, and every constant they rest on.
- * Definitions and choices in docs/theory/metrics.md. */
+/* kinegrad/metrics.h - the numbers of a motion, and every constant they rest on.
+ * Definitions, choices and the paper that is cited: docs/theory/metrics.md. */
 #ifndef KINEGRAD_METRICS_H
 #define KINEGRAD_METRICS_H
 
@@ -22,8 +22,8 @@ extern "C" {
 #define KG_METRIC_VALIDITY_C 0.0231        /* per mm at 50 Hz; five rows of the paper's Table 2 */
 #define KG_METRIC_GRAVITY 9.8              /* m/s^2, of the force fit                           */
 #define KG_METRIC_SKATE_SPEED 0.1          /* m/s; foot_skate_ratio                             */
-#define KG_METRIC_LEAST_ACCELERATION 1e-3  /* m/s^2; lower bound of both peaks in their ratio   */
-#define KG_METRIC_NORMALIZED_FRAMES 100    /* of mpjpe against normalised time (Fig. 2)         */
+#define KG_METRIC_LEAST_ACCELERATION 1.0   /* m/s^2; lower bound of both peaks in their ratio   */
+#define KG_METRIC_NORMALIZED_FRAMES 100    /* of mpjpe against normalised time                  */
 
 /* Metrics of one motion (the capture or the output) under the subject's body and scene. */
 typedef struct kg_motion_metrics {
