@@ -26,7 +26,7 @@ typedef struct pair {
 
 /* Sums over the pairs of two folders, for the last row of the table. */
 typedef struct totals {
-  int count, missing;
+  int count;
   double mpjpe_m, acceleration_peak_ratio;
   double capture[32], output[32];
 } totals;
@@ -85,6 +85,11 @@ static json_t *pair_object(json_t *object, const pair *p, const char *output_pat
 static int evaluate_pair(const eval_values *values, const cli_operands *operands, cli_output *json,
                          FILE *out)
 {
+  const char *const inputs[] = {operands->at[0], operands->at[1], values->reading.asf,
+                                values->reading.map};
+  if (cli_is_input("--json", values->json, inputs, (int)KG_COUNT_OF(inputs))) {
+    return CLI_USAGE;
+  }
   pair p = {NULL, NULL, NULL};
   int code = load(&p, values, operands->at[0], operands->at[1]);
   if (code == CLI_GOOD && values->json) {
@@ -195,14 +200,19 @@ static void set_means(json_t *root, const totals *mean)
 
 /* One capture of the folder; a clip without output is told and counted, not an error. */
 static int evaluate_entry(const eval_values *values, const cli_operands *operands, const char *name,
-                          totals *sum, json_t *clips, FILE *table)
+                          totals *sum, json_t *clips, json_t *missing, FILE *table)
 {
   char capture_path[CLI_MAX_PATH], output_path[CLI_MAX_PATH];
   snprintf(capture_path, sizeof capture_path, "%s/%s", operands->at[0], name);
   if (!find_output(output_path, operands->at[1], name)) {
     cli_message("%s: no output of this clip in %s", capture_path, operands->at[1]);
-    sum->missing++;
+    json_array_append_new(missing, cli_json_text(capture_path));
     return CLI_GOOD;
+  }
+  const char *const inputs[] = {capture_path, output_path, values->reading.asf,
+                                values->reading.map};
+  if (cli_is_input("--json", values->json, inputs, (int)KG_COUNT_OF(inputs))) {
+    return CLI_USAGE;
   }
   pair p = {NULL, NULL, NULL};
   const int code = load(&p, values, capture_path, output_path);
@@ -224,7 +234,9 @@ static int finish_folders(const eval_values *values, totals *sum, json_t *root, 
     set_means(root, sum);
     code = cli_json_write(root, json, out) ? CLI_GOOD : CLI_OUTPUT;
   }
-  return code == CLI_GOOD && sum->missing > 0 ? CLI_ANSWER_IS_NO : code;
+  return code == CLI_GOOD && json_array_size(json_object_get(root, "missing")) > 0
+           ? CLI_ANSWER_IS_NO
+           : code;
 }
 
 static int evaluate_folders(const eval_values *values, const cli_operands *operands,
@@ -233,7 +245,7 @@ static int evaluate_folders(const eval_values *values, const cli_operands *opera
   struct dirent **entries = NULL;
   const int count = scandir(operands->at[0], &entries, keep_clips, by_bytes);
   FILE *table = cli_json_is_stdout(values->json) ? fopen("/dev/null", "w") : out;
-  json_t *root = cli_json_report("eval"), *clips = json_array();
+  json_t *root = cli_json_report("eval"), *clips = json_array(), *missing = json_array();
   totals sum = {0};
   int code = table ? CLI_GOOD : CLI_OUTPUT;
   if (table) {
@@ -241,7 +253,7 @@ static int evaluate_folders(const eval_values *values, const cli_operands *opera
   }
   for (int i = 0; i < count; i++) {
     if (code == CLI_GOOD && !cli_interrupted()) {
-      code = evaluate_entry(values, operands, entries[i]->d_name, &sum, clips, table);
+      code = evaluate_entry(values, operands, entries[i]->d_name, &sum, clips, missing, table);
     }
     free(entries[i]);
   }
@@ -253,8 +265,10 @@ static int evaluate_folders(const eval_values *values, const cli_operands *opera
     code = CLI_INPUT;
   } else if (code == CLI_GOOD) {
     json_object_set(root, "clips", clips);
+    json_object_set(root, "missing", missing);
     code = finish_folders(values, &sum, root, json, table, out);
   }
+  json_decref(missing);
   json_decref(clips);
   json_decref(root);
   if (table && table != out) {
@@ -289,7 +303,8 @@ static const cli_option result_options[] = {
    .kind = CLI_PATH,
    .value_name = "FILE",
    .summary = "the report as one JSON object; - for stdout, in place of the table",
-   .details = "For two folders: the means at top level, one object per pair under 'clips'. SI "
+   .details = "For two folders: the means at top level, one object per pair under 'clips', "
+              "captures without output under 'missing'. SI "
               "units in the names of the keys: 'kinegrad help json'.",
    .offset = offsetof(eval_values, json)},
 };

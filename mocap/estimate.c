@@ -273,12 +273,11 @@ static void find_inserted_frame(kg_clip *clip, const kg_clip_def *def)
   const int steps = clip->frame_count - 2; /* those after the first */
   source->first_frame = 0;
   if (def->keep_first_frame) {
-    snprintf(source->first_frame_reason, sizeof source->first_frame_reason, "given: kept");
+    snprintf(source->first_frame_reason, sizeof source->first_frame_reason, "kept as given");
     return;
   }
   if (steps < LEAST_STEPS) {
-    snprintf(source->first_frame_reason, sizeof source->first_frame_reason,
-             "motion (too short to tell)");
+    snprintf(source->first_frame_reason, sizeof source->first_frame_reason, "too short to tell");
     return;
   }
   double turn[MOST_STEPS], next = 0.0;
@@ -295,8 +294,7 @@ static void find_inserted_frame(kg_clip *clip, const kg_clip_def *def)
     source->first_frame = 1;
   }
   snprintf(source->first_frame_reason, sizeof source->first_frame_reason,
-           "%s: joints turn %.2g deg to frame 1, then at most %.2g",
-           source->first_frame ? "inserted pose" : "motion", jump * 57.29577951308232,
+           "joints turn %.2g deg to frame 1, then at most %.2g", jump * 57.29577951308232,
            usual * 57.29577951308232);
 }
 
