@@ -86,6 +86,22 @@ static int check_values(const correct_values *values)
   return CLI_GOOD;
 }
 
+/* The clip itself may be replaced by its correction; nothing else that is read may be. skeleton:
+ * the file that was found by name, "" before it was looked for. */
+static int check_overwriting(const correct_values *values, const char *clip, const char *skeleton)
+{
+  enum { CLIP, SKELETON, ASF, MAP, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_PATHS };
+  const char *inputs[MOST] = {clip, skeleton, values->reading.asf, values->reading.map};
+  const int count = FIRST_MESH + values->scene.count;
+  for (int i = 0; i < values->scene.count; i++) {
+    inputs[FIRST_MESH + i] = values->scene.path[i];
+  }
+  const bool overwrites = cli_is_input("--json", values->json, inputs, count) ||
+                          cli_is_input("--forces", values->forces, inputs, count) ||
+                          cli_is_input("--output", values->output, inputs + 1, count - 1);
+  return overwrites ? CLI_USAGE : CLI_GOOD;
+}
+
 static int open_outputs(correction *c)
 {
   const correct_values *values = c->values;
@@ -129,6 +145,9 @@ static int read_inputs(correction *c, const char *path)
 {
   const correct_values *values = c->values;
   int code = cli_read_clip(&c->clip, path, &values->reading, values->talk.quiet);
+  if (code == CLI_GOOD) {
+    code = check_overwriting(values, path, c->clip->source.skeleton_path);
+  }
   if (code == CLI_GOOD) {
     code = read_scene(c);
   }
@@ -301,11 +320,25 @@ static json_t *timing_object(const kg_correct_result *r)
   return object;
 }
 
+/* N; the frames that repeat a step count as often as in residual_force_ratio */
+static double residual_force_rms(const kg_correct_result *r)
+{
+  double sum = 0.0;
+  for (int t = 0; t < r->frame_count; t++) {
+    sum += kg_vec3_dot(r->residual_force[t], r->residual_force[t]);
+  }
+  return sqrt(sum / r->frame_count);
+}
+
 /* null, not zero, for what a kinematic method has none of */
 static void set_residuals(json_t *root, const correction *c)
 {
   const kg_correct_result *r = c->result;
   const bool has = c->def.method == KG_CORRECT_TRACK;
+  const double rms = has ? residual_force_rms(r) : NAN;
+  cli_json_set_number(root, "residual_force_rms_N", rms);
+  cli_json_set_number(root, "residual_force_over_weight",
+                      rms / (c->subject->body->mass * c->def.gravity));
   cli_json_set_number(root, "residual_force_ratio", has ? r->residual_force_rms : NAN);
   cli_json_set_number(root, "residual_force_ratio_peak", has ? r->residual_force_peak : NAN);
   cli_json_set_number(root, "residual_moment_ratio", has ? r->residual_moment_rms : NAN);
@@ -386,21 +419,55 @@ static int write_results(correction *c, FILE *out)
   return CLI_GOOD;
 }
 
+typedef struct range_text {
+  char text[256];
+} range_text;
+
+static range_text describe(const correction *c, const bool *flags)
+{
+  range_text ranges = {""};
+  FILE *text = flags ? fmemopen(ranges.text, sizeof ranges.text, "w") : NULL;
+  if (text) {
+    cli_print_ranges(text, flags, c->result->frame_count, c->subject->first_frame, 12);
+    fclose(text);
+  }
+  return ranges;
+}
+
+/* A correction moves a body by centimetres. Beyond these it is another motion. */
+static const double far_mean = 0.3, far_frame = 0.5; /* m */
+
+static int judge_distance(correction *c)
+{
+  const int T = c->result->frame_count;
+  bool *is_far = KG_ARENA_ARRAY(&c->arena, bool, T);
+  int count = 0;
+  for (int t = 0; t < T && is_far; t++) {
+    is_far[t] = c->metrics->mpjpe_frame_m[t] > far_frame;
+    count += is_far[t];
+  }
+  if (count > 0) {
+    cli_message("%s: the output leaves the capture by more than %g m in frames %s; %s was written",
+                c->clip->source.path, far_frame, describe(c, is_far).text, c->values->output);
+  } else if (c->metrics->mpjpe_m > far_mean) {
+    cli_message("%s: the output is %.2f m from the capture in the mean, expected at most %g m; %s "
+                "was written",
+                c->clip->source.path, c->metrics->mpjpe_m, far_mean, c->values->output);
+  } else {
+    return CLI_GOOD;
+  }
+  return CLI_ANSWER_IS_NO;
+}
+
 /* Done, but is the answer yes? Messages are errors: --quiet does not hide them. */
-static int judge(const correction *c)
+static int judge(correction *c)
 {
   const kg_correct_result *r = c->result;
-  int code = CLI_GOOD;
+  int code = judge_distance(c);
   if (r->unexplained_count > 0) {
-    char ranges[256] = "";
-    FILE *text = fmemopen(ranges, sizeof ranges, "w");
-    if (text) {
-      cli_print_ranges(text, r->unexplained, r->frame_count, c->subject->first_frame, 12);
-      fclose(text);
-    }
     cli_message("%s: external support missing in frames %s: no contact explains the motion there, "
                 "so %s was written but is not physical in these frames",
-                c->clip->source.path, ranges, c->values->output);
+                c->clip->source.path, describe(c, r->unexplained).text, c->values->output);
     code = CLI_ANSWER_IS_NO;
   }
   if (r->steps_converged < r->steps) {
@@ -430,6 +497,9 @@ static int run(const void *values, const cli_operands *operands, FILE *out)
   correction c = {.values = values};
   kg_arena_init(&c.arena, NULL);
   int code = check_values(values);
+  if (code == CLI_GOOD) {
+    code = check_overwriting(values, operands->at[0], "");
+  }
   if (code == CLI_GOOD) {
     code = open_outputs(&c);
   }
@@ -560,7 +630,8 @@ const cli_command cli_command_correct = {
     "Reads a clip (BVH, or AMC with its ASF skeleton), corrects it and writes it as BVH. Prints "
     "the metrics of the capture beside those of the file that was written.\n"
     "Exit code 1: the file was written, but in some frames no contact explains the motion, or a "
-    "step of the simulation did not converge; the message names the frames.",
+    "step of the simulation did not converge, or the output is no longer near the capture (a frame "
+    "by more than 0.5 m, or 0.3 m in the mean); the message names the frames.",
   .examples =
     (const char *const[]){
       "kinegrad correct walk.bvh -o walk_fixed.bvh",

@@ -152,6 +152,12 @@ static int list_joints(const kg_clip *clip, FILE *out)
 static int write_results(const info_values *values, const kg_clip *clip, const kg_subject *subject,
                          const contacts *c, FILE *out)
 {
+  const char *const inputs[] = {clip->source.path, clip->source.skeleton_path, values->reading.map};
+  const int input_count = (int)KG_COUNT_OF(inputs);
+  if (cli_is_input("--json", values->json, inputs, input_count) ||
+      cli_is_input("--mjcf", values->mjcf, inputs, input_count)) {
+    return CLI_USAGE;
+  }
   cli_output *json = NULL, *mjcf = NULL;
   if (!cli_json_open(&json, values->json) ||
       (values->mjcf && !(mjcf = cli_outputs_open(values->mjcf)))) {

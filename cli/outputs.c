@@ -115,6 +115,22 @@ cli_output *cli_outputs_open(const char *path)
   return output;
 }
 
+bool cli_is_input(const char *option, const char *path, const char *const *inputs, int count)
+{
+  struct stat out, in;
+  if (!path || stat(path, &out) != 0 || !S_ISREG(out.st_mode)) {
+    return false;
+  }
+  for (int i = 0; i < count; i++) {
+    if (inputs[i] && stat(inputs[i], &in) == 0 && in.st_dev == out.st_dev &&
+        in.st_ino == out.st_ino) {
+      cli_message("%s: '%s' is read by this run, expected a file of its own", option, path);
+      return true;
+    }
+  }
+  return false;
+}
+
 FILE *cli_output_stream(cli_output *output)
 {
   FILE *stream = fopen(output->temporary, "wb");

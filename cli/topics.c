@@ -35,7 +35,7 @@ static void print_exit_codes(FILE *out)
 {
   fputs("  0    done, and the answer is good\n"
         "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
-        "       converge, a clip without its output\n"
+        "       converge, an output far from the capture, a clip without its output\n"
         "  2    wrong usage\n"
         "  3    an input cannot be read, or cannot be used\n"
         "  4    an output cannot be written\n"
@@ -59,6 +59,7 @@ static void print_json(FILE *out)
         "  constants   every number the metrics rest on\n"
         "  clip floor body mapping    what was decided about the capture\n"
         "and of correct alone:\n"
+        "  residual_force_rms_N  residual_force_over_weight\n"
         "  residual_force_ratio  residual_force_ratio_peak  residual_moment_ratio\n"
         "  residual_moment_ratio_peak  correction_force_ratio  correction_force_ratio_peak\n"
         "  peak_grf_N  unexplained_count  unexplained_frames  ms_per_frame  timing  newton\n"

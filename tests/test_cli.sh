@@ -173,6 +173,7 @@ for line in "unit  " "up axis  " "first frame  " "floor  " "body  .*70.00 kg" "m
   "pelvis  *Hips" "left foot .*ground in [0-9]+ %"; do
   claim "info prints $line" grep -Eq "$line" stdout.txt
 done
+claim "info says why, once" grep -Eq "^  first frame  motion: joints turn" stdout.txt
 run 0 info "$walk" --json -
 cp stdout.txt info.json
 claim "info --json - is JSON and nothing else" "$json_get" info.json
@@ -280,6 +281,26 @@ if [ -c /dev/full ]; then
     nothing_in out
   done
 fi
+# an input is not written over, whatever its name; the clip by its own correction alone
+cp "$walk" clip.bvh
+ln -s clip.bvh clip_link
+ln clip.bvh clip_twin
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >solid.bvh
+: >empty.map
+for option in "--json clip.bvh" "--json clip_link" "--forces clip_twin" "--json empty.map" "--json solid.bvh"; do
+  # shellcheck disable=SC2086 # two words
+  run 2 correct clip.bvh -o out/x.bvh --map empty.map --scene solid.bvh $option
+  says "is read by this run"
+done
+run 2 correct clip.bvh -o solid.bvh --scene solid.bvh
+says "output: 'solid.bvh' is read by this run"
+run 2 info clip.bvh --json clip.bvh
+run 2 info clip.bvh --mjcf clip_link
+run 2 eval clip.bvh "$walk" --json clip_twin
+run 2 eval "$walk" clip.bvh --json clip.bvh
+claim "the inputs are as they were" cmp "$walk" clip.bvh
+silent
+nothing_in out
 run 4 info "$walk" --mjcf no_such_folder/x.xml
 run 4 eval "$walk" "$walk" --json no_such_folder/x.json
 
@@ -389,6 +410,21 @@ claim "the frames are named" grep -Eq "external support missing in frames [0-9]+
 claim "the file is written all the same" test -s out/no.bvh
 claim "the report has the ranges" "$json_get" out/no.json unexplained_frames.0.1
 
+# a floor one metre up: the body is lifted out of it, which is no correction of this capture
+run 1 correct "$walk" -o out/far.bvh --method sdf --floor 1 --json out/far.json
+says "the output leaves the capture by more than 0.5 m in frames 0-47; out/far.bvh was written"
+claim "the report says the same" awk "BEGIN {exit !($("$json_get" out/far.json mpjpe_m) > 0.5)}"
+run 1 correct "$walk" -o out/far.bvh --method sdf --floor 0.4 --quiet
+says "the output is 0\.[34][0-9] m from the capture in the mean"
+rm -f out/far.bvh out/far.json
+
+# residual in newtons, over weight and over the peak: one number three times
+"$kinegrad" correct "$walk" -o out/a.bvh --mass 60 --gravity 10 --json out/a.json >/dev/null
+claim "residual over weight" awk "BEGIN {n = $("$json_get" out/a.json residual_force_rms_N)
+  w = n / 600 - $("$json_get" out/a.json residual_force_over_weight)
+  p = n - $("$json_get" out/a.json residual_force_ratio) * $("$json_get" out/a.json peak_grf_N)
+  exit !(n > 0 && w * w < 1e-18 && p * p < 1e-18 * n * n)}"
+
 # ---- documents keep up ---------------------------------------------------------------------------
 
 # shellcheck disable=SC2016 # patterns
@@ -445,6 +481,8 @@ run 1 eval captures corrected --json folders.json
 says "captures/two\.bvh: no output of this clip in corrected"
 claim "folders: mean of nothing changed" test "$("$json_get" folders.json mpjpe_m)" = 0.0
 claim "folders: one clip" test "$("$json_get" folders.json clip_count)" = 1
+claim "folders: what is missing" test "$("$json_get" folders.json missing.0)" = '"captures/two.bvh"'
+claim "folders: nothing else is" test "$("$json_get" folders.json missing.1 || echo none)" = none
 claim "folders: the pair" "$json_get" folders.json clips.0.capture.slip_m
 cp "$walk" corrected/two.bvh
 run 0 eval captures corrected
