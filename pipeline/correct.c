@@ -17,7 +17,7 @@ static const double COM_SMOOTHING_HZ = 6.0;
 kg_track_params kg_track_default_params(void)
 {
   return (kg_track_params){
-    .smoothing_hz = 8.0,
+    .smoothing_hz = 6.0,
     .plant_speed = 0.2,
     .plant_height = 0.045,
     .plant_flat = 0.03,

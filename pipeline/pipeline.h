@@ -72,7 +72,7 @@ typedef struct kg_reference {
   kg_vec3 *missing_moment;   /* (N) about the centre of mass                               */
 } kg_reference;
 
-/* Arrays come from the arena. KG_ERR_NO_MEMORY. */
+/* Arrays come from the arena. KG_ERR_NO_MEMORY; KG_ERR_UNSUPPORTED for more than 5e6 steps. */
 KG_MUST_USE kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject,
                                           const kg_track_params *params, double dt, double gravity,
                                           double friction, kg_arena *arena);

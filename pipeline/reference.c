@@ -23,6 +23,7 @@
 
 enum { MAX_GROUPS = 4, IK_ITERATIONS = 4, CLEARANCE_ROUNDS = 4, PLAN_ROUNDS = 3 };
 
+static const double MOST_STEPS = 5e6;       /* of a simulation: hours at 120 Hz                   */
 static const double PLANT_HYSTERESIS = 1.5; /* a planted point may be this much faster           */
 static const double SHORTEST_PLANT_S = 0.03;
 static const double HAND_SOLE_M = 0.005; /* points of a hand this near its lowest carry force  */
@@ -790,6 +791,9 @@ kg_status kg_reference_create(kg_reference *reference, const kg_subject *subject
                               double friction, kg_arena *arena)
 {
   const double duration = (subject->frame_count - 1) * subject->dt;
+  if (!(duration / dt < MOST_STEPS)) {
+    return KG_ERR_UNSUPPORTED;
+  }
   const int count = (int)ceil(duration / dt - 1e-6) + 1;
   *reference = (kg_reference){.count = count, .dt = dt};
   reference->q = KG_ARENA_ARRAY(arena, double, (size_t)count *(size_t)subject->body->nq);

@@ -41,7 +41,10 @@ static const double PLANTED_WEIGHT = 1e4; /* kg; rho_p                          
 static const double SPREAD_WEIGHT = 1e-4; /* eps over the mass: spreads force over the points */
 static const double CATCH_SHARE = 0.3;    /* of the way to its place, per step, that a planted
                                                point is asked to go while it is in the air      */
+static const double REST_SHARE = 0.1; /* of the way to the rest height, per step, once it stands */
 static const double KEEP_OUT_SHARE = 0.7; /* of the way out, per step, for what must not touch */
+static const double LOST_M = 0.5;         /* of the root from the reference: the body is lost  */
+static const double LARGEST_SPEED = 1e3;  /* m/s and rad/s                                     */
 static const double FORCE_TOLERANCE_N = 0.01;
 
 /* A point that may carry force in this step. */
@@ -80,6 +83,7 @@ typedef struct tracker {
   double edges[6][MAX_EDGES]; /* root wrench of a unit force along each edge   */
   kg_vec3 edge_direction[MAX_EDGES];
   double force[MAX_EDGES]; /* N, chosen                                     */
+  double share;            /* of a frame that one step fills                */
   double ms_step, ms_sdf;
 } tracker;
 
@@ -228,16 +232,16 @@ static void list_edges(tracker *s)
   }
 }
 
-/* velocity a planted point should have: none along the ground once it stands, towards its place
- * before; along the normal towards the rest height */
+/* Velocity a planted point should have: none once it stands, how deep it sinks into the layer is left
+ * to the forces; towards its place while it is in the air. */
 static kg_vec3 planted_velocity(const tracker *s, const kg_planted_point *planted, kg_vec3 x,
                                 double phi)
 {
-  const kg_vec3 n = planted->normal;
-  kg_vec3 way = kg_vec3_scale(CATCH_SHARE / s->h, kg_vec3_sub(planted->x, x));
-  way = kg_vec3_scale(fmin(1.0, s->params->catch_speed / fmax(kg_vec3_norm(way), 1e-9)), way);
-  const double up = kg_vec3_dot(n, way);
-  return phi < s->def->contact.layer ? kg_vec3_scale(up, n) : way;
+  if (phi < s->def->contact.layer) {
+    return kg_vec3_scale(REST_SHARE / s->h * (s->params->rest_height - phi), planted->normal);
+  }
+  const kg_vec3 way = kg_vec3_scale(CATCH_SHARE / s->h, kg_vec3_sub(planted->x, x));
+  return kg_vec3_scale(fmin(1.0, s->params->catch_speed / fmax(kg_vec3_norm(way), 1e-9)), way);
 }
 
 /* H += rho J'J and g += rho J'(u - J v_next)/h of the planted points of frame k */
@@ -483,7 +487,19 @@ static void find_torques(tracker *s)
 
 /* ---- 3. and 4. the step and the correction ----------------------------------------------------- */
 
-/* sums over the contacts of a step: forces of the feet with centre of pressure, and the others */
+static void clear_record(tracker *s, int t)
+{
+  kg_correct_result *out = s->result;
+  memset(out->feet + 2 * t, 0, 2 * sizeof *out->feet);
+  memset(out->tau + (size_t)t * (size_t)s->body->nv, 0, (size_t)s->body->nv * sizeof *out->tau);
+  out->other_force[t] = out->residual_force[t] = out->residual_moment[t] =
+    kg_vec3_make(0.0, 0.0, 0.0);
+  out->correction_force[t] = out->penetration[t] = 0.0;
+  out->contact_count[t] = 0;
+}
+
+/* Sums over the contacts of a step: forces of the feet, and the others, as means over the steps of a
+ * frame; the centre of pressure is that of the last loaded step. */
 static void record_contacts(tracker *s, int t, const kg_step_report *report)
 {
   kg_correct_result *out = s->result;
@@ -491,17 +507,16 @@ static void record_contacts(tracker *s, int t, const kg_step_report *report)
   kg_vec3 moment[2] = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}},
           weighted[2] = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
   double normal[2] = {0.0, 0.0};
-  memset(feet, 0, 2 * sizeof *feet);
-  out->other_force[t] = kg_vec3_make(0.0, 0.0, 0.0);
+  const double share = s->share;
   out->contact_count[t] = report->contact_count;
   for (int c = 0; c < report->contact_count; c++) {
     const kg_step_contact *contact = &report->contacts[c];
     const int foot = foot_of(s->body, s->body->points[contact->point].segment);
     if (foot < 0) {
-      out->other_force[t] = kg_vec3_add(out->other_force[t], contact->force.f);
+      out->other_force[t] = kg_vec3_add_scaled(out->other_force[t], share, contact->force.f);
       continue;
     }
-    feet[foot].force = kg_vec3_add(feet[foot].force, contact->force.f);
+    feet[foot].force = kg_vec3_add_scaled(feet[foot].force, share, contact->force.f);
     weighted[foot] = kg_vec3_add_scaled(weighted[foot], contact->force.normal, contact->x);
     normal[foot] += contact->force.normal;
   }
@@ -518,7 +533,7 @@ static void record_contacts(tracker *s, int t, const kg_step_report *report)
             moment[f], kg_vec3_cross(kg_vec3_sub(contact->x, feet[f].cop), contact->force.f));
         }
       }
-      feet[f].moment = kg_vec3_dot(moment[f], ground.normal);
+      feet[f].moment += share * kg_vec3_dot(moment[f], ground.normal);
     }
   }
 }
@@ -530,8 +545,14 @@ static void record_wrench(tracker *s, int t, const double *tau)
   const kg_vec3 f = kg_vec3_make(tau[0], tau[1], tau[2]);
   const kg_vec3 n = kg_quat_rotate(root, kg_vec3_make(tau[3], tau[4], tau[5]));
   const kg_vec3 r = kg_vec3_sub(c.com, kg_vec3_make(s->q_next[0], s->q_next[1], s->q_next[2]));
-  s->result->residual_force[t] = f;
-  s->result->residual_moment[t] = kg_vec3_sub(n, kg_vec3_cross(r, f));
+  kg_correct_result *out = s->result;
+  out->residual_force[t] = kg_vec3_add_scaled(out->residual_force[t], s->share, f);
+  out->residual_moment[t] =
+    kg_vec3_add_scaled(out->residual_moment[t], s->share, kg_vec3_sub(n, kg_vec3_cross(r, f)));
+  double *tau_t = out->tau + (size_t)t * (size_t)s->body->nv;
+  for (int i = 6; i < s->body->nv; i++) { /* the wrench is reported apart */
+    tau_t[i] += s->share * tau[i];
+  }
 }
 
 /* the loop's move and change of velocity as a force on the whole body: M dq / h^2 + M dv / h */
@@ -558,9 +579,48 @@ static void correct_penetration(tracker *s, int t)
   const kg_correction_report report =
     kg_correction_apply(s->correction, s->q_next, s->v_next, s->moved);
   s->result->sdf_iterations += report.iterations;
-  s->result->penetration[t] = report.d_pen_after;
-  s->result->correction_force[t] =
-    report.iterations > 0 ? correction_force(s, s->moved, before) : 0.0;
+  s->result->penetration[t] = fmax(s->result->penetration[t], report.d_pen_after);
+  if (report.iterations > 0) {
+    s->result->correction_force[t] += s->share * correction_force(s, s->moved, before);
+  }
+}
+
+static bool is_lost(const tracker *s, int k)
+{
+  const size_t nq = (size_t)s->body->nq;
+  const double *ref = s->reference->q + (size_t)k * nq;
+  for (size_t i = 0; i < nq; i++) {
+    if (!isfinite(s->q_next[i])) {
+      return true;
+    }
+  }
+  for (int i = 0; i < s->body->nv; i++) {
+    if (!(fabs(s->v_next[i]) < LARGEST_SPEED)) { /* NaN is lost too */
+      return true;
+    }
+  }
+  const kg_vec3 away =
+    kg_vec3_make(s->q_next[0] - ref[0], s->q_next[1] - ref[1], s->q_next[2] - ref[2]);
+  return kg_vec3_norm(away) > LOST_M;
+}
+
+/* A simulation that has lost the reference is set back to it: reported as a frame of its own kind, and
+ * as the force that such a move would take. The forces of that frame mean nothing and are not given. */
+static void set_back(tracker *s, int k, int t)
+{
+  kg_correct_result *out = s->result;
+  const size_t nq = (size_t)s->body->nq, nv = (size_t)s->body->nv;
+  memcpy(s->q_next, s->reference->q + (size_t)k * nq, nq * sizeof *s->q_next);
+  memcpy(s->v_next, s->v_ref, nv * sizeof *s->v_next);
+  memset(s->last_force, 0, (size_t)(EDGES * s->body->point_count) * sizeof *s->last_force);
+  const kg_correction_report report =
+    kg_correction_apply(s->correction, s->q_next, s->v_next, NULL);
+  clear_record(s, t);
+  out->penetration[t] = report.d_pen_after;
+  out->correction_force[t] = s->body->mass * LOST_M / (s->h * s->h);
+  if (out->restart_count == 0 || out->restart_frames[out->restart_count - 1] != t) {
+    out->restart_frames[out->restart_count++] = t;
+  }
 }
 
 static void take_step(tracker *s, int k, int t)
@@ -612,8 +672,6 @@ static int write_frames(tracker *s, int k, int t)
     const double x = t * frame - (k - 1);
     kg_states_at(s->body, out->q + (size_t)t * nq, pair, 2, x > 1.0 - 1e-6 ? 1.0 : x);
     memcpy(out->v + (size_t)t * nv, s->v_next, nv * sizeof(double));
-    memcpy(out->tau + (size_t)t * nv, s->tau, nv * sizeof(double));
-    memset(out->tau + (size_t)t * nv, 0, 6 * sizeof(double)); /* the wrench is reported apart */
   }
   return t;
 }
@@ -621,6 +679,8 @@ static int write_frames(tracker *s, int k, int t)
 /* frames that no step ended in (a step longer than the frame time) repeat the one before */
 static void repeat_record(kg_correct_result *out, int from, int t)
 {
+  memcpy(out->tau + (size_t)t * (size_t)out->nv, out->tau + (size_t)from * (size_t)out->nv,
+         (size_t)out->nv * sizeof *out->tau);
   out->residual_force[t] = out->residual_force[from];
   out->residual_moment[t] = out->residual_moment[from];
   out->feet[2 * t] = out->feet[2 * from];
@@ -647,11 +707,19 @@ static void run(tracker *s)
     memcpy(s->v_ref, s->v, nv * sizeof *s->v);
   }
 
-  int written = 1;
+  int written = 1, frame_before = 0;
+  s->share = fmin(1.0, 1.0 / frame);
   for (int k = 1; k < s->reference->count; k++) {
     int t = (int)ceil(k / frame - 1e-6);
     t = t < out->frame_count ? t : out->frame_count - 1;
+    if (t != frame_before) {
+      clear_record(s, t);
+      frame_before = t;
+    }
     take_step(s, k, t);
+    if (is_lost(s, k)) {
+      set_back(s, k, t);
+    }
     const int first = written;
     written = write_frames(s, k, written);
     for (int u = first; u < written; u++) {
@@ -669,7 +737,6 @@ static void run(tracker *s)
   }
   if (out->frame_count > 1) { /* frame 0 is the start: it repeats the first step */
     memcpy(out->v, out->v + nv, nv * sizeof(double));
-    memcpy(out->tau, out->tau + nv, nv * sizeof(double));
     repeat_record(out, 1, 0);
   }
 }
@@ -749,6 +816,7 @@ kg_status kg_correct_track(kg_correct_result *result, const kg_subject *subject,
                                          def->contact.friction, &scratch);
   if (status == KG_OK) {
     result->substepped_frames = KG_ARENA_ARRAY(arena, int, reference.count);
+    result->restart_frames = KG_ARENA_ARRAY(arena, int, reference.count);
     status = kg_arena_failed(arena) ? KG_ERR_NO_MEMORY : tracker_create(&s, &scratch);
   }
   if (status == KG_OK) {

@@ -1,4 +1,4 @@
-/* kinegrad/correct.h - correction of a captured clip: the loop of DESIGN section 2.
+/* kinegrad/correct.h - correction of a captured clip: from clip to clip.
  *
  *   KG_CORRECT_SDF    kinematic: the smallest smooth change of the poses that removes penetration
  *   KG_CORRECT_TRACK  the body is simulated; torques from inverse dynamics plus feedback, the root
@@ -88,7 +88,7 @@ typedef struct kg_correct_result {
   int *contact_count;       /* (T)                                                        */
   bool *unexplained;        /* (T) no contact explains the motion: external support missing */
 
-  /* residuals (DESIGN section 10) */
+  /* residuals (docs/theory/metrics.md) */
   double peak_grf;                                  /* N                                        */
   double residual_force_rms, residual_force_peak;   /* over peak_grf; over the weight if that is 0 */
   double residual_moment_rms, residual_moment_peak; /* over peak_grf * com height */
@@ -101,6 +101,9 @@ typedef struct kg_correct_result {
   double newton_residual_max; /* kg^1/2 m/s                               */
   int *substepped_frames;     /* (substepped_count) motion frame numbers  */
   int substepped_count;
+  int *restart_frames;           /* (restart_count) motion frames in which the simulation was
+                                    lost and set back to the reference; NULL for sdf          */
+  int restart_count;
   int sdf_iterations; /* of the correction loop                   */
 
   /* wall time per output frame, ms (Fig. 3) */
