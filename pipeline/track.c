@@ -83,7 +83,7 @@ typedef struct tracker {
   double edges[6][MAX_EDGES]; /* root wrench of a unit force along each edge   */
   kg_vec3 edge_direction[MAX_EDGES];
   double force[MAX_EDGES]; /* N, chosen                                     */
-  double share;            /* of a frame that one step fills                */
+  int frame, frame_steps;  /* whose record is open, and steps in it         */
   double ms_step, ms_sdf;
 } tracker;
 
@@ -487,6 +487,28 @@ static void find_torques(tracker *s)
 
 /* ---- 3. and 4. the step and the correction ----------------------------------------------------- */
 
+/* sums over the steps of the open frame become means */
+static void close_record(tracker *s)
+{
+  kg_correct_result *out = s->result;
+  const int t = s->frame, nv = s->body->nv;
+  if (s->frame_steps > 1) {
+    const double share = 1.0 / s->frame_steps;
+    kg_vec3 *sums[] = {&out->feet[2 * t].force, &out->feet[2 * t + 1].force, &out->other_force[t],
+                       &out->residual_force[t], &out->residual_moment[t]};
+    for (size_t i = 0; i < KG_COUNT_OF(sums); i++) {
+      *sums[i] = kg_vec3_scale(share, *sums[i]);
+    }
+    out->feet[2 * t].moment *= share;
+    out->feet[2 * t + 1].moment *= share;
+    out->correction_force[t] *= share;
+    for (int i = 0; i < nv; i++) {
+      out->tau[(size_t)t * (size_t)nv + (size_t)i] *= share;
+    }
+  }
+  s->frame_steps = 0;
+}
+
 static void clear_record(tracker *s, int t)
 {
   kg_correct_result *out = s->result;
@@ -507,16 +529,15 @@ static void record_contacts(tracker *s, int t, const kg_step_report *report)
   kg_vec3 moment[2] = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}},
           weighted[2] = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
   double normal[2] = {0.0, 0.0};
-  const double share = s->share;
   out->contact_count[t] = report->contact_count;
   for (int c = 0; c < report->contact_count; c++) {
     const kg_step_contact *contact = &report->contacts[c];
     const int foot = foot_of(s->body, s->body->points[contact->point].segment);
     if (foot < 0) {
-      out->other_force[t] = kg_vec3_add_scaled(out->other_force[t], share, contact->force.f);
+      out->other_force[t] = kg_vec3_add(out->other_force[t], contact->force.f);
       continue;
     }
-    feet[foot].force = kg_vec3_add_scaled(feet[foot].force, share, contact->force.f);
+    feet[foot].force = kg_vec3_add(feet[foot].force, contact->force.f);
     weighted[foot] = kg_vec3_add_scaled(weighted[foot], contact->force.normal, contact->x);
     normal[foot] += contact->force.normal;
   }
@@ -533,7 +554,7 @@ static void record_contacts(tracker *s, int t, const kg_step_report *report)
             moment[f], kg_vec3_cross(kg_vec3_sub(contact->x, feet[f].cop), contact->force.f));
         }
       }
-      feet[f].moment += share * kg_vec3_dot(moment[f], ground.normal);
+      feet[f].moment += kg_vec3_dot(moment[f], ground.normal);
     }
   }
 }
@@ -546,12 +567,12 @@ static void record_wrench(tracker *s, int t, const double *tau)
   const kg_vec3 n = kg_quat_rotate(root, kg_vec3_make(tau[3], tau[4], tau[5]));
   const kg_vec3 r = kg_vec3_sub(c.com, kg_vec3_make(s->q_next[0], s->q_next[1], s->q_next[2]));
   kg_correct_result *out = s->result;
-  out->residual_force[t] = kg_vec3_add_scaled(out->residual_force[t], s->share, f);
+  out->residual_force[t] = kg_vec3_add(out->residual_force[t], f);
   out->residual_moment[t] =
-    kg_vec3_add_scaled(out->residual_moment[t], s->share, kg_vec3_sub(n, kg_vec3_cross(r, f)));
+    kg_vec3_add(out->residual_moment[t], kg_vec3_sub(n, kg_vec3_cross(r, f)));
   double *tau_t = out->tau + (size_t)t * (size_t)s->body->nv;
   for (int i = 6; i < s->body->nv; i++) { /* the wrench is reported apart */
-    tau_t[i] += s->share * tau[i];
+    tau_t[i] += tau[i];
   }
 }
 
@@ -581,7 +602,7 @@ static void correct_penetration(tracker *s, int t)
   s->result->sdf_iterations += report.iterations;
   s->result->penetration[t] = fmax(s->result->penetration[t], report.d_pen_after);
   if (report.iterations > 0) {
-    s->result->correction_force[t] += s->share * correction_force(s, s->moved, before);
+    s->result->correction_force[t] += correction_force(s, s->moved, before);
   }
 }
 
@@ -707,15 +728,16 @@ static void run(tracker *s)
     memcpy(s->v_ref, s->v, nv * sizeof *s->v);
   }
 
-  int written = 1, frame_before = 0;
-  s->share = fmin(1.0, 1.0 / frame);
+  int written = 1;
   for (int k = 1; k < s->reference->count; k++) {
     int t = (int)ceil(k / frame - 1e-6);
     t = t < out->frame_count ? t : out->frame_count - 1;
-    if (t != frame_before) {
+    if (t != s->frame) {
+      close_record(s);
       clear_record(s, t);
-      frame_before = t;
+      s->frame = t;
     }
+    s->frame_steps++;
     take_step(s, k, t);
     if (is_lost(s, k)) {
       set_back(s, k, t);
@@ -735,6 +757,7 @@ static void run(tracker *s)
       return;
     }
   }
+  close_record(s);
   if (out->frame_count > 1) { /* frame 0 is the start: it repeats the first step */
     memcpy(out->v, out->v + nv, nv * sizeof(double));
     repeat_record(out, 1, 0);
