@@ -310,6 +310,16 @@ static json_t *newton_object(const correction *c)
   return object;
 }
 
+static const bool *flag_restarts(const correction *c, kg_arena *arena)
+{
+  const kg_correct_result *r = c->result;
+  bool *flags = KG_ARENA_ARRAY(arena, bool, r->frame_count);
+  for (int i = 0; flags && i < r->restart_count; i++) {
+    flags[r->restart_frames[i]] = true;
+  }
+  return flags;
+}
+
 static json_t *timing_object(const kg_correct_result *r)
 {
   json_t *object = json_object();
@@ -359,6 +369,8 @@ static json_t *report(const correction *c)
   cli_json_set_integer(root, "unexplained_count", r->unexplained_count);
   json_object_set_new(root, "unexplained_frames",
                       cli_json_ranges(r->unexplained, r->frame_count, c->subject->first_frame));
+  json_object_set_new(root, "restart_frames",
+                      int_list(r->restart_frames, r->restart_count, c->subject->first_frame));
   cli_json_set_number(root, "ms_per_frame", r->ms_per_frame);
   json_object_set_new(root, "timing", timing_object(r));
   json_object_set_new(root, "newton", newton_object(c));
@@ -468,6 +480,13 @@ static int judge(correction *c)
     cli_message("%s: external support missing in frames %s: no contact explains the motion there, "
                 "so %s was written but is not physical in these frames",
                 c->clip->source.path, describe(c, r->unexplained).text, c->values->output);
+    code = CLI_ANSWER_IS_NO;
+  }
+  if (r->restart_count > 0) {
+    cli_message("%s: the simulation was lost and set back to the reference in frames %s; %s was "
+                "written",
+                c->clip->source.path, describe(c, flag_restarts(c, &c->arena)).text,
+                c->values->output);
     code = CLI_ANSWER_IS_NO;
   }
   if (r->steps_converged < r->steps) {
@@ -630,7 +649,8 @@ const cli_command cli_command_correct = {
     "Reads a clip (BVH, or AMC with its ASF skeleton), corrects it and writes it as BVH. Prints "
     "the metrics of the capture beside those of the file that was written.\n"
     "Exit code 1: the file was written, but in some frames no contact explains the motion, or a "
-    "step of the simulation did not converge, or the output is no longer near the capture (a frame "
+    "step of the simulation did not converge, a lost simulation was set back, or the output is no "
+    "longer near the capture (a frame "
     "by more than 0.5 m, or 0.3 m in the mean); the message names the frames.",
   .examples =
     (const char *const[]){

@@ -35,7 +35,8 @@ static void print_exit_codes(FILE *out)
 {
   fputs("  0    done, and the answer is good\n"
         "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
-        "       converge, an output far from the capture, a clip without its output\n"
+        "       converge, a lost simulation, an output far from the capture, a clip without its "
+        "output\n"
         "  2    wrong usage\n"
         "  3    an input cannot be read, or cannot be used\n"
         "  4    an output cannot be written\n"
@@ -62,7 +63,8 @@ static void print_json(FILE *out)
         "  residual_force_rms_N  residual_force_over_weight\n"
         "  residual_force_ratio  residual_force_ratio_peak  residual_moment_ratio\n"
         "  residual_moment_ratio_peak  correction_force_ratio  correction_force_ratio_peak\n"
-        "  peak_grf_N  unexplained_count  unexplained_frames  ms_per_frame  timing  newton\n"
+        "  peak_grf_N  unexplained_count  unexplained_frames  restart_frames  ms_per_frame\n"
+        "  timing  newton\n"
         "docs/guide/read-the-report.md defines each of them.\n",
         out);
 }
