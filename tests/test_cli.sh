@@ -418,6 +418,13 @@ run 1 correct "$walk" -o out/far.bvh --method sdf --floor 0.4 --quiet
 says "the output is 0\.[34][0-9] m from the capture in the mean"
 rm -f out/far.bvh out/far.json
 
+# steps of 0.1 s under ten times the weight: the simulation does not survive
+run 1 correct "$walk" -o out/lost.bvh --dt 0.1 --gravity 100 --json out/lost.json
+lost=$("$json_get" out/lost.json restart_frames.0)
+claim "the frames are named as in the report" \
+  grep -Eq "simulation was lost and set back to the reference in frames $lost[-,;]" stderr.txt
+rm -f out/lost.bvh out/lost.json
+
 # residual in newtons, over weight and over the peak: one number three times
 "$kinegrad" correct "$walk" -o out/a.bvh --mass 60 --gravity 10 --json out/a.json >/dev/null
 claim "residual over weight" awk "BEGIN {n = $("$json_get" out/a.json residual_force_rms_N)
