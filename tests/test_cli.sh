@@ -422,7 +422,7 @@ rm -f out/far.bvh out/far.json
 run 1 correct "$walk" -o out/lost.bvh --dt 0.1 --gravity 100 --json out/lost.json
 lost=$("$json_get" out/lost.json restart_frames.0)
 claim "the frames are named as in the report" \
-  grep -Eq "simulation was lost and set back to the reference in frames $lost[-,;]" stderr.txt
+  grep -Eq "simulation was lost and set back to the reference in frames ${lost}[-,;]" stderr.txt
 rm -f out/lost.bvh out/lost.json
 
 # residual in newtons, over weight and over the peak: one number three times
