@@ -1,15 +1,18 @@
 /* The reference a simulation follows: the capture, smoothed, with feet and hands planted.
  *
  *   1. the capture at the simulation's rate (slerp), low-pass filtered without lag
- *   2. planted points: per foot and hand, the points that are slow, low and near its lowest point
+ *   2. planted points: per foot and hand, the points that are slow, low and near its lowest point;
+ *      where the centre of mass needs a support and nothing is planted, faster points, then the
+ *      slowest low point as a pivot, then whatever the body lies or rolls on
  *   3. displacements: within a stance a planted point's displacement cancels its motion along the
  *      ground and puts it at the rest height; centred, so that the stance as a whole does not move;
  *      between stances the smoothest displacement (least squared second difference) that fades to
  *      zero with the ease time, kept clear of the ground
  *   4. inverse kinematics, frame by frame: the smallest weighted change of the pose that moves the
  *      points by their displacements (damped Gauss-Newton)
- *   5. plan (plan.c): the root moves so that forces at the planted points can explain the momentum;
- *      then inverse kinematics again, which brings the feet back to their places
+ *   5. plan (plan.c): the root moves so that forces at the planted points can explain the momentum,
+ *      and inverse kinematics brings the feet back to their places; the last round is a plan, because
+ *      moving legs changes the momentum and the simulation holds planted points by itself
  *
  * Symbols: x point in the world, n normal of the ground, Phi distance, d displacement. */
 #include "pipeline/pipeline.h"

@@ -7,13 +7,16 @@
  *        min  1/2 |a - a*|^2_W + 1/2 rho_p |J_p (v + h a) - u_p|^2 / h^2 + 1/2 |w|^2_R + 1/2 eps |f|^2
  *        s.t. w = (M a + c - J'f)_root
  *      (Gauss' principle with contacts; W is the mass matrix with joints made heavier, so that the
- *      body moves as a whole rather than its pelvis alone). J_p, u_p: the planted points and the velocity they should
- *      have, none when they stand. a is eliminated by H = W + rho_p J_p'J_p, which leaves a small
- *      quadratic over f >= 0, solved by coordinate descent from the last step's forces.
+ *      body moves as a whole rather than its pelvis alone). J_p, u_p: the planted points and the
+ *      velocity they should have, none along the ground when they stand. a is eliminated by
+ *      H = W + rho_p J_p'J_p, which leaves a small quadratic over f >= 0, solved by coordinate
+ *      descent from the last step's forces. Should H or its small complement fail to factorise, a*
+ *      and the last forces stand: the step is solved all the same, and the wrench pays.
  *   3. joint torques by inverse dynamics at the end-of-step state these choices predict; with them
  *      and the wrench the implicit step is solved. Contact there is compliant: the layer gives way
  *      until it carries what the torques press, so the forces found are close to those chosen
- *   4. the SDF loop corrects what still penetrates
+ *   4. the SDF loop corrects what still penetrates; a body that lost the reference is set back to it
+ *      and the frame reported
  *
  * The wrench is what physics cannot explain: reported per frame, made small by step 2.
  * Gauss' principle: F. E. Udwadia, R. E. Kalaba, Analytical Dynamics, Cambridge 1996, chapter 3;
