@@ -26,29 +26,53 @@ static void give_back(const kg_allocator *allocator, void *memory, size_t bytes)
   }
 }
 
-/* offset of the first aligned address at or after block + offset */
-static size_t align_up(const kg_arena_block *block, size_t offset)
+/* offset of the first address at or after block + offset that is a multiple of alignment */
+static size_t align_up(const kg_arena_block *block, size_t offset, size_t alignment)
 {
   const uintptr_t address = (uintptr_t)block + offset;
-  return offset + (size_t)(-address & (ALIGNMENT - 1));
+  return offset + (size_t)(-address & (alignment - 1));
+}
+
+/* takes the first spare block of at least bytes out of its list; NULL when there is none */
+static kg_arena_block *reuse_block(kg_arena *arena, size_t bytes)
+{
+  for (kg_arena_block **link = &arena->spare; *link; link = &(*link)->previous) {
+    kg_arena_block *block = *link;
+    if (block->bytes >= bytes) {
+      *link = block->previous;
+      return block;
+    }
+  }
+  return NULL;
+}
+
+static kg_arena_block *new_block(kg_arena *arena, size_t least)
+{
+  /* each block is twice as large as the last: few blocks, little waste */
+  size_t bytes = arena->last ? 2 * arena->last->bytes : SMALLEST_BLOCK;
+  if (bytes < least || bytes > 16 * least + SMALLEST_BLOCK) {
+    bytes = least;
+  }
+  kg_arena_block *block = take(arena->allocator, bytes);
+  if (block) {
+    block->bytes = bytes;
+  }
+  return block;
 }
 
 static bool add_block(kg_arena *arena, size_t payload)
 {
   const size_t header = sizeof(kg_arena_block) + ALIGNMENT;
-  /* each block is twice as large as the last: few blocks, little waste */
-  size_t bytes = arena->last ? 2 * arena->last->bytes : SMALLEST_BLOCK;
-  if (payload > SIZE_MAX - header) {
+  if (payload > SIZE_MAX / 32 - header) {
     return false;
   }
-  if (bytes < payload + header || bytes > 16 * (payload + header) + SMALLEST_BLOCK) {
-    bytes = payload + header;
-  }
-  kg_arena_block *block = take(arena->allocator, bytes);
+  kg_arena_block *block = reuse_block(arena, payload + header);
+  block = block ? block : new_block(arena, payload + header);
   if (!block) {
     return false;
   }
-  *block = (kg_arena_block){.previous = arena->last, .bytes = bytes, .used = sizeof *block};
+  block->previous = arena->last;
+  block->used = sizeof *block;
   arena->last = block;
   return true;
 }
@@ -58,25 +82,35 @@ void kg_arena_init(kg_arena *arena, const kg_allocator *allocator)
   *arena = (kg_arena){.allocator = allocator};
 }
 
-void *kg_arena_alloc(kg_arena *arena, size_t count, size_t size)
+void *kg_arena_take(kg_arena *arena, size_t bytes, size_t alignment)
 {
-  KG_ASSERT(arena && size > 0);
-  if (arena->failed || (count > 0 && size > SIZE_MAX / count)) {
-    arena->failed = true;
+  KG_ASSERT(arena && alignment > 0 && alignment <= ALIGNMENT);
+  if (arena->failed) {
     return NULL;
   }
-  const size_t bytes = count * size;
-  size_t start = arena->last ? align_up(arena->last, arena->last->used) : 0;
+  size_t start = arena->last ? align_up(arena->last, arena->last->used, alignment) : 0;
   if (!arena->last || start > arena->last->bytes || bytes > arena->last->bytes - start) {
     if (!add_block(arena, bytes)) {
       arena->failed = true;
       return NULL;
     }
-    start = align_up(arena->last, arena->last->used);
+    start = align_up(arena->last, arena->last->used, alignment);
   }
   arena->last->used = start + bytes;
-  char *memory = (char *)arena->last + start;
-  memset(memory, 0, bytes);
+  return (char *)arena->last + start;
+}
+
+void *kg_arena_alloc(kg_arena *arena, size_t count, size_t size)
+{
+  KG_ASSERT(arena && size > 0);
+  if (count > 0 && size > SIZE_MAX / count) {
+    arena->failed = true;
+    return NULL;
+  }
+  void *memory = kg_arena_take(arena, count * size, ALIGNMENT);
+  if (memory) {
+    memset(memory, 0, count * size);
+  }
   return memory;
 }
 
@@ -94,12 +128,52 @@ bool kg_arena_failed(const kg_arena *arena)
   return arena->failed;
 }
 
-void kg_arena_release(kg_arena *arena)
+kg_arena_mark kg_arena_mark_of(const kg_arena *arena)
 {
-  while (arena->last) {
+  return (kg_arena_mark){arena->last, arena->last ? arena->last->used : 0};
+}
+
+void kg_arena_rewind(kg_arena *arena, kg_arena_mark mark)
+{
+  while (arena->last != mark.last) {
     kg_arena_block *block = arena->last;
     arena->last = block->previous;
-    give_back(arena->allocator, block, block->bytes);
+    block->previous = arena->spare; /* the oldest ends up first, to be reused in the same order */
+    arena->spare = block;
   }
+  if (arena->last) {
+    arena->last->used = mark.used;
+  }
+  arena->failed = false;
+}
+
+static size_t chain_bytes(const kg_arena_block *block)
+{
+  size_t bytes = 0;
+  for (; block; block = block->previous) {
+    bytes += block->bytes;
+  }
+  return bytes;
+}
+
+size_t kg_arena_bytes(const kg_arena *arena)
+{
+  return chain_bytes(arena->last) + chain_bytes(arena->spare);
+}
+
+static void free_chain(const kg_allocator *allocator, kg_arena_block *block)
+{
+  while (block) {
+    kg_arena_block *previous = block->previous;
+    give_back(allocator, block, block->bytes);
+    block = previous;
+  }
+}
+
+void kg_arena_release(kg_arena *arena)
+{
+  free_chain(arena->allocator, arena->last);
+  free_chain(arena->allocator, arena->spare);
+  arena->last = arena->spare = NULL;
   arena->failed = false;
 }

@@ -37,7 +37,9 @@ extern "C" {
   X(KG_ERR_FORMAT, -4, "file content does not follow its format")                \
   X(KG_ERR_WRITE, -5, "file cannot be written")                                  \
   X(KG_ERR_UNMAPPED, -6, "skeleton cannot be mapped to a body")                  \
-  X(KG_ERR_UNSUPPORTED, -7, "valid input that this version does not handle")
+  X(KG_ERR_UNSUPPORTED, -7, "valid input that this version does not handle")     \
+  X(KG_ERR_SHAPE, -8, "operands whose shapes do not fit together")               \
+  X(KG_ERR_STALE, -9, "a recorded comparison came out the other way")
 
 #define KG_STATUS_ENUM(name, value, text) name = (value),
 typedef enum kg_status { KG_STATUS_LIST(KG_STATUS_ENUM) } kg_status;

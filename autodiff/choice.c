@@ -1,0 +1,2 @@
+/* choice */
+#include "autodiff/tape.h"

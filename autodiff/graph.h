@@ -1,0 +1,148 @@
+/* graph.h - the record itself: nodes, the kernels that evaluate them, and the sweeps over them.
+ *
+ * Tape and program are both a kg_graph. A node is of one of two kinds:
+ *
+ *   scalar   one double with its partial derivatives by at most two scalar operands, in 40 bytes;
+ *            swept without looking at the operator. Double tapes only.
+ *   block    any operator on tensors: a kg_block with operands, attributes, data and kernels
+ *
+ * An id is the node's index, with KG_TENSOR set when the node is a block. Node 0 is the sink: the
+ * null value, and the second operand of scalar operators that have one.
+ *
+ * Lanes: entry e of lane l lies at e * lanes + l, in values, saved numbers and adjoints alike. */
+#ifndef AUTODIFF_GRAPH_H
+#define AUTODIFF_GRAPH_H
+
+#include "autodiff/oplist.h"
+#include "kinegrad/arena.h"
+#include "kinegrad/tape.h"
+
+#define KG_TENSOR 0x80000000u
+
+static inline uint32_t kg_index(uint32_t id)
+{
+  return id & ~KG_TENSOR;
+}
+
+/* What a kernel is given. Sizes and strides it needs are in the attributes. */
+typedef struct kg_call {
+  const void *attributes; /* of the operator */
+  size_t size;            /* entries of the result, without lanes */
+  size_t lanes;
+  int count;            /* operands */
+  const void *const *in; /* (count) */
+  void *out;
+  void *saved; /* numbers kept from forward for the other two, and their scratch */
+} kg_call;
+
+typedef struct kg_kernel {
+  /* writes out; KG_ERR_UNDEFINED: no value there, KG_ERR_STALE: a comparison turned around */
+  kg_status (*forward)(const kg_call *call);
+  /* adds (d out / d in[i])' adjoint to in_adjoint[i] where that is not NULL */
+  void (*vjp)(const kg_call *call, const void *adjoint, void *const *in_adjoint);
+  /* writes sum_i (d out / d in[i]) in_tangent[i] to tangent; NULL tangents are zero */
+  void (*jvp)(const kg_call *call, const void *const *in_tangent, void *tangent);
+} kg_kernel;
+
+typedef struct kg_block {
+  const kg_kernel *kernel;
+  kg_shape shape;
+  int32_t count;            /* operands */
+  const uint32_t *input;    /* their ids */
+  const void *attributes;   /* plain bytes, padding zeroed: equal bytes, equal operator */
+  size_t attribute_bytes;
+  size_t size;              /* entries */
+  size_t saved_size;        /* entries */
+  void *data;
+  void *saved;
+  size_t adjoint;  /* first entry in the sweep's memory, per direction and lane */
+  uint32_t stamp;  /* of the last sweep that reached it */
+} kg_block;
+
+typedef struct kg_node {
+  union {
+    double value;
+    kg_block *block;
+  } is;
+  double partial[2];
+  uint32_t input[2];
+  uint16_t op;
+  bool is_block;
+  bool active; /* depends on a differentiable input */
+} kg_node;
+
+/* Memory that only grows, kept between sweeps. */
+typedef struct kg_buffer {
+  void *memory;
+  size_t bytes;
+} kg_buffer;
+
+typedef struct kg_graph {
+  const kg_allocator *allocator;
+  const kg_kernel *kernels; /* by operator, of the graph's arithmetic */
+  size_t number;            /* bytes of one number: 4 float, 8 double, 16 complex */
+  size_t lanes;
+  kg_node *node;
+  uint32_t count, capacity;
+  size_t adjoint_size; /* entries of all active blocks */
+  int widest;          /* most operands of a block */
+  /* sweeps */
+  uint32_t stamp;
+  int directions;      /* of the last sweep; 0: none */
+  uint32_t swept;      /* nodes there were */
+  kg_buffer scalar;    /* (count, directions) doubles */
+  kg_buffer tensor;    /* (adjoint_size, directions, lanes) numbers, directions slower within a block */
+  kg_buffer pointers;  /* (2, widest) */
+} kg_graph;
+
+kg_status kg_graph_init(kg_graph *graph, const kg_allocator *allocator);
+void kg_graph_release(kg_graph *graph);
+
+/* Room for one more node; false when memory is refused. */
+bool kg_graph_reserve(kg_graph *graph);
+
+/* memory of at least bytes, old content lost; false when refused */
+bool kg_buffer_reserve(kg_buffer *buffer, const kg_allocator *allocator, size_t bytes);
+void kg_buffer_release(kg_buffer *buffer, const kg_allocator *allocator);
+
+static inline const void *kg_node_data(const kg_graph *graph, uint32_t id)
+{
+  const kg_node *node = &graph->node[kg_index(id)];
+  return id & KG_TENSOR ? node->is.block->data : (const void *)&node->is.value;
+}
+
+size_t kg_shape_size(const kg_shape *shape);
+
+/* -- sweeps (sweep.c) -------------------------------------------------------------------------- */
+
+/* Evaluates block `node` again; its operands' data are current. */
+kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node);
+
+/* Starts a backward or forward sweep of so many directions: all adjoints (tangents) are zero. */
+kg_status kg_sweep_begin(kg_graph *graph, int directions);
+/* The adjoint or tangent of a value, (directions, size, lanes), made zero when it was untouched;
+ * NULL for a constant. */
+void *kg_sweep_seed(kg_graph *graph, uint32_t id);
+/* The same, NULL when untouched. */
+void *kg_sweep_result(const kg_graph *graph, uint32_t id);
+/* From the newest node down to node `last`; or from node `first` up to the newest. */
+void kg_sweep_backward(kg_graph *graph, uint32_t last);
+void kg_sweep_forward(kg_graph *graph, uint32_t first);
+/* What the kernels of one block are called with; in has room for its operands. */
+kg_call kg_block_call(const kg_graph *graph, const kg_block *block, const void **in);
+
+/* -- kernels (kernels/) ------------------------------------------------------------------------ */
+
+extern const kg_kernel kg_kernels_f64_base[KG_OP_COUNT], kg_kernels_f32_base[KG_OP_COUNT];
+extern const kg_kernel kg_kernels_c64_base[KG_OP_COUNT];
+#ifdef KG_DISPATCH
+extern const kg_kernel kg_kernels_f64_v3[KG_OP_COUNT], kg_kernels_f64_v4[KG_OP_COUNT];
+extern const kg_kernel kg_kernels_f32_v3[KG_OP_COUNT], kg_kernels_f32_v4[KG_OP_COUNT];
+#endif
+
+typedef enum kg_arithmetic { KG_F64, KG_F32, KG_C64 } kg_arithmetic;
+
+/* The table for this processor, no wider than simd (kg_tape_def). */
+const kg_kernel *kg_kernels_for(kg_arithmetic arithmetic, int simd);
+
+#endif

@@ -1,0 +1,2 @@
+/* matrix */
+#include "autodiff/tape.h"

@@ -1,0 +1,2 @@
+/* moves */
+#include "autodiff/tape.h"

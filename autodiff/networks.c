@@ -1,0 +1,2 @@
+/* networks */
+#include "autodiff/tape.h"

@@ -1,0 +1,2 @@
+/* reductions */
+#include "autodiff/tape.h"

@@ -1,0 +1,2 @@
+/* rotations */
+#include "autodiff/tape.h"

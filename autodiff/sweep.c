@@ -1,0 +1,231 @@
+/* Walks over a graph: backward with adjoints, forward with tangents, several directions at once.
+ *
+ * Scalar nodes need no dispatch: with partials p of the operands,
+ *   backward   adjoint(operand) += p adjoint(node)      forward   tangent(node) = sum p tangent(operand)
+ * Adjoints of blocks become zero when something first touches them, so parts of the graph that the seeds
+ * do not reach cost nothing. A zero adjoint adds nothing, whatever the partial. */
+#include "autodiff/graph.h"
+
+#include <string.h>
+
+kg_call kg_block_call(const kg_graph *graph, const kg_block *block, const void **in)
+{
+  for (int i = 0; i < block->count; ++i) {
+    in[i] = kg_node_data(graph, block->input[i]);
+  }
+  return (kg_call){.attributes = block->attributes,
+                   .size = block->size,
+                   .lanes = graph->lanes,
+                   .count = block->count,
+                   .in = in,
+                   .out = block->data,
+                   .saved = block->saved};
+}
+
+static bool reserve_pointers(kg_graph *graph)
+{
+  return kg_buffer_reserve(&graph->pointers, graph->allocator,
+                           2 * (size_t)(graph->widest + 1) * sizeof(void *));
+}
+
+kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node)
+{
+  kg_block *block = node->is.block;
+  if (!block->kernel->forward) return KG_OK; /* input or constant */
+  if (!reserve_pointers(graph)) return KG_ERR_NO_MEMORY;
+  const kg_call call = kg_block_call(graph, block, graph->pointers.memory);
+  return block->kernel->forward(&call);
+}
+
+kg_status kg_sweep_begin(kg_graph *graph, int directions)
+{
+  const size_t s = (size_t)directions;
+  graph->directions = 0;
+  if (!kg_buffer_reserve(&graph->scalar, graph->allocator, graph->count * s * sizeof(double)) ||
+      !kg_buffer_reserve(&graph->tensor, graph->allocator,
+                         graph->adjoint_size * s * graph->lanes * graph->number) ||
+      !reserve_pointers(graph)) {
+    return KG_ERR_NO_MEMORY;
+  }
+  memset(graph->scalar.memory, 0, graph->count * s * sizeof(double));
+  ++graph->stamp;
+  graph->directions = directions;
+  graph->swept = graph->count;
+  return KG_OK;
+}
+
+static void *block_adjoint(const kg_graph *graph, const kg_block *block)
+{
+  const size_t row = (size_t)graph->directions * graph->lanes * graph->number;
+  return (char *)graph->tensor.memory + block->adjoint * row;
+}
+
+void *kg_sweep_seed(kg_graph *graph, uint32_t id)
+{
+  const kg_node *node = &graph->node[kg_index(id)];
+  if (!node->active) return NULL;
+  if (!(id & KG_TENSOR)) {
+    return (double *)graph->scalar.memory + (size_t)id * (size_t)graph->directions;
+  }
+  kg_block *block = node->is.block;
+  void *adjoint = block_adjoint(graph, block);
+  if (block->stamp != graph->stamp) {
+    block->stamp = graph->stamp;
+    memset(adjoint, 0, block->size * (size_t)graph->directions * graph->lanes * graph->number);
+  }
+  return adjoint;
+}
+
+void *kg_sweep_result(const kg_graph *graph, uint32_t id)
+{
+  const kg_node *node = &graph->node[kg_index(id)];
+  if (!node->active || !graph->directions || kg_index(id) >= graph->swept) return NULL;
+  if (!(id & KG_TENSOR)) {
+    return (double *)graph->scalar.memory + (size_t)id * (size_t)graph->directions;
+  }
+  return node->is.block->stamp == graph->stamp ? block_adjoint(graph, node->is.block) : NULL;
+}
+
+/* bytes from one direction of a value's adjoint to the next */
+static size_t stride_of(const kg_graph *graph, uint32_t id)
+{
+  const kg_node *node = &graph->node[kg_index(id)];
+  return id & KG_TENSOR ? node->is.block->size * graph->lanes * graph->number : sizeof(double);
+}
+
+static void backward_block(kg_graph *graph, const kg_block *block)
+{
+  const void **in = graph->pointers.memory;
+  void **in_adjoint = (void **)(in + graph->widest + 1);
+  const kg_call call = kg_block_call(graph, block, in);
+  const char *adjoint = block_adjoint(graph, block);
+  const size_t stride = block->size * graph->lanes * graph->number;
+  for (int i = 0; i < block->count; ++i) {
+    in_adjoint[i] = kg_sweep_seed(graph, block->input[i]);
+  }
+  for (int s = 0; s < graph->directions; ++s) {
+    block->kernel->vjp(&call, adjoint + (size_t)s * stride, in_adjoint);
+    for (int i = 0; s + 1 < graph->directions && i < block->count; ++i) {
+      if (in_adjoint[i]) in_adjoint[i] = (char *)in_adjoint[i] + stride_of(graph, block->input[i]);
+    }
+  }
+}
+
+/* an entry of a tensor became a scalar */
+static void backward_element(kg_graph *graph, const kg_node *node, const double *adjoint)
+{
+  double *tensor = kg_sweep_seed(graph, node->input[0]);
+  const size_t size = graph->node[kg_index(node->input[0])].is.block->size;
+  for (size_t s = 0; tensor && s < (size_t)graph->directions; ++s) {
+    tensor[s * size + node->input[1]] += adjoint[s];
+  }
+}
+
+static inline void backward_scalar(kg_graph *graph, const kg_node *node, double *scalar,
+                                   const size_t directions)
+{
+  const double *adjoint = scalar + (size_t)(node - graph->node) * directions;
+  if (node->input[0] & KG_TENSOR) {
+    backward_element(graph, node, adjoint);
+    return;
+  }
+  double *first = scalar + node->input[0] * directions;
+  double *second = scalar + node->input[1] * directions;
+  for (size_t s = 0; s < directions; ++s) {
+    if (adjoint[s] != 0) {
+      first[s] += node->partial[0] * adjoint[s];
+      second[s] += node->partial[1] * adjoint[s];
+    }
+  }
+}
+
+static inline void backward(kg_graph *graph, uint32_t last, const size_t directions)
+{
+  double *scalar = graph->scalar.memory;
+  for (uint32_t i = graph->swept - 1; i >= last && i > 0; --i) {
+    const kg_node *node = &graph->node[i];
+    if (!node->is_block) {
+      backward_scalar(graph, node, scalar, directions);
+    } else if (node->active && node->is.block->stamp == graph->stamp && node->is.block->count) {
+      backward_block(graph, node->is.block);
+    }
+  }
+}
+
+/* one and two directions get loops of their own */
+void kg_sweep_backward(kg_graph *graph, uint32_t last)
+{
+  switch (graph->directions) {
+    case 1: backward(graph, last, 1); break;
+    case 2: backward(graph, last, 2); break;
+    default: backward(graph, last, (size_t)graph->directions); break;
+  }
+}
+
+static bool gather_tangents(const kg_graph *graph, const kg_block *block, const void **in_tangent)
+{
+  bool any = false;
+  for (int i = 0; i < block->count; ++i) {
+    in_tangent[i] = kg_sweep_result(graph, block->input[i]);
+    any = any || in_tangent[i];
+  }
+  return any;
+}
+
+static void forward_block(kg_graph *graph, uint32_t index)
+{
+  const kg_block *block = graph->node[index].is.block;
+  const void **in = graph->pointers.memory, **in_tangent = in + graph->widest + 1;
+  if (!gather_tangents(graph, block, in_tangent)) return;
+  const kg_call call = kg_block_call(graph, block, in);
+  char *tangent = kg_sweep_seed(graph, index | KG_TENSOR);
+  for (int s = 0; s < graph->directions; ++s) {
+    block->kernel->jvp(&call, in_tangent, tangent);
+    tangent += block->size * graph->lanes * graph->number;
+    for (int i = 0; s + 1 < graph->directions && i < block->count; ++i) {
+      if (in_tangent[i]) {
+        in_tangent[i] = (const char *)in_tangent[i] + stride_of(graph, block->input[i]);
+      }
+    }
+  }
+}
+
+static void forward_element(const kg_graph *graph, const kg_node *node, double *tangent)
+{
+  const double *tensor = kg_sweep_result(graph, node->input[0]);
+  const size_t size = graph->node[kg_index(node->input[0])].is.block->size;
+  for (size_t s = 0; tensor && s < (size_t)graph->directions; ++s) {
+    tangent[s] = tensor[s * size + node->input[1]];
+  }
+}
+
+static void forward_scalar(kg_graph *graph, const kg_node *node)
+{
+  const size_t directions = (size_t)graph->directions;
+  double *scalar = graph->scalar.memory;
+  double *tangent = scalar + (size_t)(node - graph->node) * directions;
+  if (node->input[0] & KG_TENSOR) {
+    forward_element(graph, node, tangent);
+    return;
+  }
+  const double *first = scalar + node->input[0] * directions;
+  const double *second = scalar + node->input[1] * directions;
+  for (size_t s = 0; s < directions; ++s) {
+    const double a = first[s] != 0 ? node->partial[0] * first[s] : 0;
+    const double b = second[s] != 0 ? node->partial[1] * second[s] : 0;
+    tangent[s] = a + b;
+  }
+}
+
+void kg_sweep_forward(kg_graph *graph, uint32_t first)
+{
+  for (uint32_t i = first ? first : 1; i < graph->swept; ++i) {
+    const kg_node *node = &graph->node[i];
+    if (!node->active || node->op == kg_op_input) continue;
+    if (node->is_block) {
+      forward_block(graph, i);
+    } else {
+      forward_scalar(graph, node);
+    }
+  }
+}

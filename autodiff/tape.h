@@ -1,0 +1,81 @@
+/* tape.h - inside of a tape, and what the files that make operators share. */
+#ifndef AUTODIFF_TAPE_H
+#define AUTODIFF_TAPE_H
+
+#include "autodiff/graph.h"
+#include "kinegrad/operators.h"
+
+typedef struct kg_tag_range {
+  uint32_t first; /* node from which on the tag holds */
+  const char *text;
+} kg_tag_range;
+
+struct kg_tape {
+  kg_graph graph;
+  kg_arena arena; /* blocks and their numbers */
+  kg_precision precision;
+  int simd;
+  kg_tag_range *tags;
+  size_t tag_count, tag_capacity;
+  kg_error error;
+  kg_tape *child; /* where checkpoints are recorded anew; NULL until one is */
+};
+
+/* What an operator's function hands over once shapes are checked. */
+typedef struct kg_recipe {
+  kg_op op;
+  int count; /* operands */
+  const kg_value *operands;
+  kg_shape shape;
+  const void *attributes; /* copied; zero padding: equal bytes must mean equal operators */
+  size_t attribute_bytes;
+  size_t saved;            /* entries to keep between the sweeps */
+  bool constant;           /* without derivative whatever the operands are */
+  const kg_kernel *kernel; /* NULL: that of op */
+  const void *alias;       /* the result's numbers when they are an operand's (reshape), else NULL */
+} kg_recipe;
+
+/* Records a block and evaluates it; the null value on failure, with the tape's error set. */
+kg_value kg_record(kg_tape *tape, const kg_recipe *recipe);
+
+/* An element-wise operator of up to three operands, broadcast (elementwise.c). */
+kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_value *operands,
+                               double p, double q, bool constant);
+
+/* Sets the tape's error unless one is set ("operator: ..." with the tag), and returns the null value. */
+kg_value kg_refuse(kg_tape *tape, kg_status status, const char *operator_name, const char *format,
+                   ...) KG_PRINTF(4, 5);
+
+/* "(64, 48)" into text; returns text */
+typedef struct kg_shape_text {
+  char text[64];
+} kg_shape_text;
+kg_shape_text kg_shape_print(kg_shape shape);
+
+/* false, quietly, when one of the values is null; asserts that they belong to the tape */
+bool kg_operands_given(kg_tape *tape, int count, const kg_value *values);
+
+/* axis counted from the front, -1 when out of range (the tape's error is set) */
+int kg_axis_of(kg_tape *tape, const char *operator_name, kg_shape shape, int axis);
+
+/* the same shape without the axis; sizes of what lies before, along and after it */
+typedef struct kg_axis_split {
+  size_t outer, length, inner;
+} kg_axis_split;
+kg_axis_split kg_split(kg_shape shape, int axis);
+kg_shape kg_without_axis(kg_shape shape, int axis);
+bool kg_same_shape(kg_shape a, kg_shape b);
+
+const char *kg_tag_at(const kg_tape *tape, uint32_t node);
+
+static inline bool kg_is_scalar_node(kg_value value)
+{
+  return value.id != 0 && !(value.id & KG_TENSOR);
+}
+
+static inline const kg_node *kg_node_of(const kg_tape *tape, kg_value value)
+{
+  return &tape->graph.node[kg_index(value.id)];
+}
+
+#endif

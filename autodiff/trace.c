@@ -1,0 +1,2 @@
+/* trace */
+#include "autodiff/tape.h"
