@@ -52,14 +52,20 @@
   X(min,   MIN(a, b),   RE(a) <= RE(b) ? KG_ONE : KG_ZERO, RE(a) <= RE(b) ? KG_ZERO : KG_ONE)      \
   X(max,   MAX(a, b),   RE(a) >= RE(b) ? KG_ONE : KG_ZERO, RE(a) >= RE(b) ? KG_ZERO : KG_ONE)
 
-/* operators with kernels of their own */
+/* operators with kernels of their own, by the file that holds them */
+#define KG_CHOICE_LIST(X) X(less) X(less_equal) X(is_less) X(where)
+#define KG_REDUCTION_LIST(X)                                                                       \
+  X(combine) X(sum) X(sum_squares) X(norm) X(dot) X(max_along) X(min_along) X(logsumexp) X(softmax)
+#define KG_MATRIX_LIST(X) X(matmul) X(affine) X(solve) X(solve_triangular)
+#define KG_MOVE_LIST(X)                                                                            \
+  X(reshape) X(broadcast) X(transpose) X(slice) X(concat) X(element) X(gather) X(scatter)
+#define KG_ROTATION_LIST(X)                                                                        \
+  X(cross) X(compose) X(rotate) X(rotation_exp) X(rotation_log) X(normalize)
+#define KG_NETWORK_LIST(X) X(aggregate) X(convolve)
+
 #define KG_TENSOR_LIST(X)                                                                          \
-  X(less) X(less_equal) X(is_less) X(where)                                                        \
-  X(combine) X(sum) X(sum_squares) X(norm) X(dot) X(max_along) X(min_along) X(logsumexp) X(softmax)\
-  X(matmul) X(affine) X(solve) X(solve_triangular)                                                 \
-  X(reshape) X(broadcast) X(transpose) X(slice) X(concat) X(element) X(gather) X(scatter)          \
-  X(cross) X(compose) X(rotate) X(rotation_exp) X(rotation_log) X(normalize)                       \
-  X(aggregate) X(convolve)
+  KG_CHOICE_LIST(X) KG_REDUCTION_LIST(X) KG_MATRIX_LIST(X) KG_MOVE_LIST(X) KG_ROTATION_LIST(X)     \
+  KG_NETWORK_LIST(X)
 
 #define KG_ENUM(name, ...) kg_op_##name,
 #define KG_ENUM_TENSOR(name) kg_op_##name,
