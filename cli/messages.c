@@ -39,6 +39,7 @@ static int exit_code(kg_status status)
     case KG_OK:
       return CLI_GOOD;
     case KG_ERR_UNDEFINED:
+    case KG_ERR_STALE:
       return CLI_ANSWER_IS_NO;
     case KG_ERR_WRITE:
       return CLI_OUTPUT;
@@ -47,6 +48,7 @@ static int exit_code(kg_status status)
     case KG_ERR_FORMAT:
     case KG_ERR_UNMAPPED:
     case KG_ERR_UNSUPPORTED:
+    case KG_ERR_SHAPE:
       break;
   }
   return CLI_INPUT;

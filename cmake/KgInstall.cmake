@@ -1,7 +1,7 @@
 # Install tree: libraries, headers, find_package() and pkg-config files. It can be moved as a whole.
 set(KG_CONFIG_FOLDER ${CMAKE_INSTALL_LIBDIR}/cmake/kinegrad)
 
-install(TARGETS kinegrad kinegrad_static EXPORT kinegradTargets)
+install(TARGETS kinegrad kinegrad_static kinegrad_autodiff EXPORT kinegradTargets)
 install(DIRECTORY include/kinegrad DESTINATION ${CMAKE_INSTALL_INCLUDEDIR})
 install(EXPORT kinegradTargets NAMESPACE kinegrad:: DESTINATION ${KG_CONFIG_FOLDER})
 
