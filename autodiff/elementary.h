@@ -29,7 +29,7 @@
  *            cos r = 1 - r^2/2 + r^4 C(r^2). The float functions work in double inside.      1
  *   tanh     -t / (2 + t) with t = expm1(-2 |x|), the sign put back                          3
  *   sigmoid  1 / (1 + e) or e / (1 + e) with e = exp(-|x|)                                   3
- *   softplus max(x, 0) + log(1 + exp(-|x|))                                                   3
+ *   softplus max(x, 0) + log(1 + exp(-|x|))                                                  3
  *
  * Polynomials: Remez exchange in 70-digit arithmetic, minimising the error relative to the
  * function named, then each coefficient rounded; the bound is that of the rounded polynomial.
@@ -221,7 +221,7 @@ static inline KG_REAL KG_(log)(KG_REAL x)
 
 static inline KG_REAL KG_(log1p)(KG_REAL x)
 {
-  const KG_REAL u = 1 + x, lost = x < 1 ? x - (u - 1) : 1 - (u - x);
+  const KG_REAL u = 1 + x, lost = x - (u - 1); /* exact where it is large enough to count */
   const KG_(log_parts) p = KG_(log_split)(u);
   /* with k = 0 there is no rounding error to bring back: f is x itself */
   const KG_REAL y = KG_(log_join)(p.k, p.k == 0 ? x : p.f, p.k == 0 ? 0 : lost / u);
