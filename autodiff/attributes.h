@@ -1,15 +1,15 @@
-/* attributes.h - what an operator knows besides its operands: written by the function that records it,
- * read by its kernels. Plain bytes without pointers to outside; padding zero. */
+/* attributes.h - what an operator knows besides its operands: written by the function that
+ * records it, read by its kernels. Plain bytes without pointers to outside; padding zero. */
 #ifndef AUTODIFF_ATTRIBUTES_H
 #define AUTODIFF_ATTRIBUTES_H
 
 #include "autodiff/graph.h"
 
-/* Element-wise operators: the result's axes, merged where all operands run on, and the strides of the
- * operands along them; 0 repeats. */
+/* Element-wise operators: the result's axes, merged where all operands run on, and the strides
+ * of the operands along them; 0 repeats. */
 typedef struct kg_elementwise {
-  int64_t rank;                 /* 1 .. KG_MAX_RANK */
-  size_t dim[KG_MAX_RANK];      /* the slowest first */
+  int64_t rank;            /* 1 .. KG_MAX_RANK */
+  size_t dim[KG_MAX_RANK]; /* the slowest first */
   size_t stride[3][KG_MAX_RANK];
   double p, q; /* constants of the rule */
 } kg_elementwise;

@@ -25,10 +25,11 @@ static void add_numbers(const kg_tape *tape, kg_value value, void *to, const dou
   }
 }
 
-static void copy_numbers(const kg_tape *tape, kg_value value, const void *from, double *to, size_t n)
+static void copy_numbers(const kg_tape *tape, kg_value value, const void *from, double *to,
+                         size_t n)
 {
   for (size_t i = 0; i < n; ++i) {
-    to[i] = !from                   ? 0
+    to[i] = !from                    ? 0
             : is_double(tape, value) ? ((const double *)from)[i]
                                      : (double)((const float *)from)[i];
   }
@@ -50,7 +51,8 @@ static bool differentiable(kg_tape *tape, const char *call, int count, const kg_
 {
   for (int i = 0; i < count && tape->error.status == KG_OK; ++i) {
     if (!kg_node_of(tape, values[i])->active) {
-      kg_refuse(tape, KG_ERR_UNDEFINED, call, "input %d does not depend on a differentiable input", i);
+      kg_refuse(tape, KG_ERR_UNDEFINED, call, "input %d does not depend on a differentiable input",
+                i);
     }
   }
   return tape->error.status == KG_OK;
@@ -98,10 +100,12 @@ kg_status kg_backward(kg_tape *tape, kg_value output)
 
 static const void *adjoint_of(kg_tape *tape, kg_value value, bool wants_double)
 {
-  if (!usable(tape, "adjoint", 1, &value) || !differentiable(tape, "adjoint", 1, &value)) return NULL;
+  if (!usable(tape, "adjoint", 1, &value) || !differentiable(tape, "adjoint", 1, &value))
+    return NULL;
   if (is_double(tape, value) != wants_double || tape->graph.directions == 0 ||
       kg_index(value.id) >= tape->graph.swept) {
-    kg_refuse(tape, KG_ERR_UNSUPPORTED, "adjoint", "no sweep since the value was recorded, or a tape of the other precision");
+    kg_refuse(tape, KG_ERR_UNSUPPORTED, "adjoint",
+              "no sweep since the value was recorded, or a tape of the other precision");
     return NULL;
   }
   return kg_sweep_seed(&tape->graph, value.id); /* zero when the sweep did not reach it */
@@ -143,7 +147,8 @@ kg_status kg_vjp(kg_tape *tape, int directions, int output_count, const kg_value
 {
   KG_ASSERT(directions > 0);
   if (!usable(tape, "vjp", output_count, outputs) || !usable(tape, "vjp", input_count, inputs) ||
-      !differentiable(tape, "vjp", input_count, inputs) || begin(tape, "vjp", directions) != KG_OK) {
+      !differentiable(tape, "vjp", input_count, inputs) ||
+      begin(tape, "vjp", directions) != KG_OK) {
     return tape->error.status;
   }
   for (int o = 0; o < output_count; ++o) {
@@ -167,7 +172,8 @@ kg_status kg_jvp(kg_tape *tape, int directions, int input_count, const kg_value 
 {
   KG_ASSERT(directions > 0);
   if (!usable(tape, "jvp", output_count, outputs) || !usable(tape, "jvp", input_count, inputs) ||
-      !differentiable(tape, "jvp", input_count, inputs) || begin(tape, "jvp", directions) != KG_OK) {
+      !differentiable(tape, "jvp", input_count, inputs) ||
+      begin(tape, "jvp", directions) != KG_OK) {
     return tape->error.status;
   }
   for (int i = 0; i < input_count; ++i) {

@@ -1,5 +1,5 @@
-/* Element-wise operators: scalars are recorded here and now with their partial derivatives, by the same
- * rules as the tensors' kernels (oplist.h); tensors get their broadcast walk. */
+/* Element-wise operators: scalars are recorded here and now with their partial derivatives, by
+ * the same rules as the tensors' kernels (oplist.h); tensors get their broadcast walk. */
 #define KG_ARITHMETIC 64
 #define KG_ISA base
 #include "autodiff/attributes.h"
@@ -95,6 +95,25 @@ static kg_elementwise plan(int count, const kg_shape *shapes, kg_shape result)
   return e;
 }
 
+/* operands of one shape, the usual case: a single run */
+static bool all_equal(int count, const kg_shape *shapes)
+{
+  bool equal = true;
+  for (int k = 1; k < count; ++k) {
+    equal = equal && kg_same_shape(shapes[0], shapes[k]);
+  }
+  return equal;
+}
+
+static kg_elementwise single_run(kg_shape shape)
+{
+  kg_elementwise e = {.rank = 1, .dim = {kg_shape_size(&shape)}};
+  for (int k = 0; k < 3; ++k) {
+    e.stride[k][0] = 1;
+  }
+  return e;
+}
+
 kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_value *operands,
                                double p, double q, bool constant)
 {
@@ -103,12 +122,14 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
   for (int k = 0; k < count; ++k) {
     shapes[k] = kg_shape_of(tape, operands[k]);
   }
-  if (!broadcast_shape(count, shapes, &result)) {
+  const bool equal = all_equal(count, shapes);
+  result = shapes[0];
+  if (!equal && !broadcast_shape(count, shapes, &result)) {
     return kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shapes %s, %s%s%s do not broadcast",
                      kg_shape_print(shapes[0]).text, kg_shape_print(shapes[1]).text,
                      count > 2 ? ", " : "", count > 2 ? kg_shape_print(shapes[2]).text : "");
   }
-  kg_elementwise e = plan(count, shapes, result);
+  kg_elementwise e = equal ? single_run(result) : plan(count, shapes, result);
   e.p = p;
   e.q = q;
   return kg_record(tape, &(kg_recipe){.op = op,
@@ -138,7 +159,7 @@ KG_UNARY_LIST(UNARY_SCALAR)
 #define UNARY_FUNCTION(name)                                                                       \
   kg_value kg_##name(kg_tape *tape, kg_value a)                                                    \
   {                                                                                                \
-    return record_##name(tape, a, 0);                                                           \
+    return record_##name(tape, a, 0);                                                              \
   }
 UNARY_FUNCTION(neg)
 UNARY_FUNCTION(reciprocal)

@@ -29,7 +29,7 @@ typedef struct kg_call {
   const void *attributes; /* of the operator */
   size_t size;            /* entries of the result, without lanes */
   size_t lanes;
-  int count;            /* operands */
+  int count;             /* operands */
   const void *const *in; /* (count) */
   void *out;
   void *saved; /* numbers kept from forward for the other two, and their scratch */
@@ -47,16 +47,16 @@ typedef struct kg_kernel {
 typedef struct kg_block {
   const kg_kernel *kernel;
   kg_shape shape;
-  int32_t count;            /* operands */
-  const uint32_t *input;    /* their ids */
-  const void *attributes;   /* plain bytes, padding zeroed: equal bytes, equal operator */
+  int32_t count;          /* operands */
+  const uint32_t *input;  /* their ids */
+  const void *attributes; /* plain bytes, padding zeroed: equal bytes, equal operator */
   size_t attribute_bytes;
-  size_t size;              /* entries */
-  size_t saved_size;        /* entries */
+  size_t size;       /* entries */
+  size_t saved_size; /* entries */
   void *data;
   void *saved;
-  size_t adjoint;  /* first entry in the sweep's memory, per direction and lane */
-  uint32_t stamp;  /* of the last sweep that reached it */
+  size_t adjoint; /* first entry in the sweep's memory, per direction and lane */
+  uint32_t stamp; /* of the last sweep that reached it */
 } kg_block;
 
 typedef struct kg_node {
@@ -88,11 +88,12 @@ typedef struct kg_graph {
   int widest;          /* most operands of a block */
   /* sweeps */
   uint32_t stamp;
-  int directions;      /* of the last sweep; 0: none */
-  uint32_t swept;      /* nodes there were */
-  kg_buffer scalar;    /* (count, directions) doubles */
-  kg_buffer tensor;    /* (adjoint_size, directions, lanes) numbers, directions slower within a block */
-  kg_buffer pointers;  /* (2, widest) */
+  int directions;   /* of the last sweep; 0: none */
+  uint32_t swept;   /* nodes there were */
+  kg_buffer scalar; /* (count, directions) doubles */
+  kg_buffer
+    tensor; /* (adjoint_size, directions, lanes) numbers, directions slower within a block */
+  kg_buffer pointers; /* (2, widest) */
 } kg_graph;
 
 kg_status kg_graph_init(kg_graph *graph, const kg_allocator *allocator);

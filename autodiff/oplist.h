@@ -1,9 +1,11 @@
 /* oplist.h - every operator, once. The enum, the names in messages, the kernel tables and the
  * registry of checks are made from these lists.
  *
- * Element-wise rules are written once, for scalars and tensors, float, double and complex numbers. In a rule
+ * Element-wise rules are written once, for scalars and tensors, float, double and complex
+ * numbers. In a rule
  *   a, b   operands      y   the result      p, q   the operator's constants
- * and capitals are the functions of the number type (kernels/number.h). Comparisons look at real parts. */
+ * and capitals are the functions of the number type (kernels/number.h). Comparisons look at real
+ * parts. */
 #ifndef AUTODIFF_OPLIST_H
 #define AUTODIFF_OPLIST_H
 

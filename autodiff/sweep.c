@@ -1,9 +1,10 @@
 /* Walks over a graph: backward with adjoints, forward with tangents, several directions at once.
  *
  * Scalar nodes need no dispatch: with partials p of the operands,
- *   backward   adjoint(operand) += p adjoint(node)      forward   tangent(node) = sum p tangent(operand)
- * Adjoints of blocks become zero when something first touches them, so parts of the graph that the seeds
- * do not reach cost nothing. A zero adjoint adds nothing, whatever the partial. */
+ *   backward   adjoint(operand) += p adjoint(node)
+ *   forward    tangent(node) = sum p tangent(operand)
+ * Adjoints of blocks become zero when something first touches them, so parts of the graph that
+ * the seeds do not reach cost nothing. A zero adjoint adds nothing, whatever the partial. */
 #include "autodiff/graph.h"
 
 #include <string.h>
@@ -156,9 +157,15 @@ static inline void backward(kg_graph *graph, uint32_t last, const size_t directi
 void kg_sweep_backward(kg_graph *graph, uint32_t last)
 {
   switch (graph->directions) {
-    case 1: backward(graph, last, 1); break;
-    case 2: backward(graph, last, 2); break;
-    default: backward(graph, last, (size_t)graph->directions); break;
+    case 1:
+      backward(graph, last, 1);
+      break;
+    case 2:
+      backward(graph, last, 2);
+      break;
+    default:
+      backward(graph, last, (size_t)graph->directions);
+      break;
   }
 }
 

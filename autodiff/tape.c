@@ -28,7 +28,8 @@ kg_status kg_tape_create(const kg_tape_def *def, kg_tape **tape, kg_error *error
     return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a tape");
   }
   t->graph.number = settings.precision == KG_DOUBLE ? sizeof(double) : sizeof(float);
-  t->graph.kernels = kg_kernels_for(settings.precision == KG_DOUBLE ? KG_F64 : KG_F32, settings.simd);
+  t->graph.kernels =
+    kg_kernels_for(settings.precision == KG_DOUBLE ? KG_F64 : KG_F32, settings.simd);
   *tape = t;
   return KG_OK;
 }
@@ -321,8 +322,9 @@ static kg_block *leaf(kg_tape *tape, kg_op op, kg_shape shape, kg_value *value)
   *value = (kg_value){0};
   if (tape->error.status != KG_OK) return NULL;
   if (!shape_is_valid(shape)) {
-    kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shape %s of rank %d: ranks 0 to %d, extents from 1",
-              kg_shape_print(shape).text, (int)shape.rank, KG_MAX_RANK);
+    kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op),
+              "shape %s of rank %d: ranks 0 to %d, extents from 1", kg_shape_print(shape).text,
+              (int)shape.rank, KG_MAX_RANK);
     return NULL;
   }
   kg_node *node = push_block(tape, &(kg_recipe){.op = op, .shape = shape});
@@ -439,7 +441,8 @@ double kg_item_at(const kg_tape *tape, kg_value value, size_t index)
   if (!value.id) return NAN;
   KG_ASSERT(index < kg_size_of(tape, value));
   const void *data = kg_node_data(&tape->graph, value.id);
-  return tape->precision == KG_DOUBLE ? ((const double *)data)[index] : ((const float *)data)[index];
+  return tape->precision == KG_DOUBLE ? ((const double *)data)[index]
+                                      : ((const float *)data)[index];
 }
 
 double kg_item(const kg_tape *tape, kg_value value)

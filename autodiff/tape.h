@@ -32,7 +32,7 @@ typedef struct kg_recipe {
   size_t saved;            /* entries to keep between the sweeps */
   bool constant;           /* without derivative whatever the operands are */
   const kg_kernel *kernel; /* NULL: that of op */
-  const void *alias;       /* the result's numbers when they are an operand's (reshape), else NULL */
+  const void *alias; /* the result's numbers when they are an operand's (reshape), else NULL */
 } kg_recipe;
 
 /* Records a block and evaluates it; the null value on failure, with the tape's error set. */
@@ -42,7 +42,8 @@ kg_value kg_record(kg_tape *tape, const kg_recipe *recipe);
 kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_value *operands,
                                double p, double q, bool constant);
 
-/* Sets the tape's error unless one is set ("operator: ..." with the tag), and returns the null value. */
+/* Sets the tape's error unless one is set ("operator: ..." with the tag), and returns the null
+ * value. */
 kg_value kg_refuse(kg_tape *tape, kg_status status, const char *operator_name, const char *format,
                    ...) KG_PRINTF(4, 5);
 

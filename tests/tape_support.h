@@ -36,7 +36,8 @@ static inline kg_status run_node(const kg_node *node, const kg_kernel *kernels, 
 {
   static kg_elementwise scalar[2];
   scalar[0] = scalar_attributes(node);
-  *call = (kg_call){.attributes = &scalar[0], .size = 1, .lanes = lanes, .in = in, .out = out, .saved = saved};
+  *call = (kg_call){
+    .attributes = &scalar[0], .size = 1, .lanes = lanes, .in = in, .out = out, .saved = saved};
   if (node->is_block) {
     const kg_block *block = node->is.block;
     call->attributes = block->attributes;
@@ -154,14 +155,16 @@ static inline void check_operator(kg_tape *tape, int count, const kg_value *inpu
     xw[k] = calloc(n + 1, sizeof *xw[k]);
     zero[k] = calloc(n + 1, sizeof *zero[k]);
   }
-  assert_int_equal(kg_jvp(tape, 1, count, inputs, (const double *const *)d, 1, &output, &yd), KG_OK);
+  assert_int_equal(kg_jvp(tape, 1, count, inputs, (const double *const *)d, 1, &output, &yd),
+                   KG_OK);
   complex_step(tape, count, inputs, d, output, step);
   for (size_t e = 0; e < m; ++e) {
     if (!(fabs(yd[e] - step[e]) <= tolerance * fmax(largest(step, m), 1e-300))) {
       fail_msg("JVP entry %zu: %.17g, complex step %.17g", e, yd[e], step[e]);
     }
   }
-  assert_int_equal(kg_vjp(tape, 1, 1, &output, (const double *const *)&w, count, inputs, xw), KG_OK);
+  assert_int_equal(kg_vjp(tape, 1, 1, &output, (const double *const *)&w, count, inputs, xw),
+                   KG_OK);
   double forward = inner(w, yd, m), backward = 0, size = sqrt(inner(w, w, m) * inner(yd, yd, m));
   for (int k = 0; k < count; ++k) {
     const size_t n = kg_size_of(tape, inputs[k]);

@@ -53,16 +53,17 @@ static const struct binary_case {
   const char *name;
   binary *record;
   double low;
-} binaries[] = {{"add", kg_add, -3}, {"sub", kg_sub, -3},     {"mul", kg_mul, -3},
-                {"div", kg_div, 0.3}, {"pow", kg_pow, 0.1},    {"atan2", kg_atan2, -3},
-                {"hypot", kg_hypot, -3}, {"min", kg_min, -3}, {"max", kg_max, -3}};
+} binaries[] = {{"add", kg_add, -3},     {"sub", kg_sub, -3},  {"mul", kg_mul, -3},
+                {"div", kg_div, 0.3},    {"pow", kg_pow, 0.1}, {"atan2", kg_atan2, -3},
+                {"hypot", kg_hypot, -3}, {"min", kg_min, -3},  {"max", kg_max, -3}};
 
 static void binary_rules_broadcast_and_equal_complex_steps(void **state)
 {
   (void)state;
   static const kg_shape shapes[][2] = {
-    {{2, {3, 4}}, {2, {3, 4}}},       {{2, {3, 4}}, {1, {4}}},    {{2, {3, 4}}, {2, {3, 1}}},
-    {{0, {0}}, {2, {3, 4}}},          {{2, {3, 1}}, {2, {1, 4}}}, {{3, {2, 3, 4}}, {3, {2, 1, 4}}},
+    {{2, {3, 4}}, {2, {3, 4}}},          {{2, {3, 4}}, {1, {4}}},
+    {{2, {3, 4}}, {2, {3, 1}}},          {{0, {0}}, {2, {3, 4}}},
+    {{2, {3, 1}}, {2, {1, 4}}},          {{3, {2, 3, 4}}, {3, {2, 1, 4}}},
     {{4, {2, 1, 3, 1}}, {3, {5, 1, 2}}}, {{1, {600}}, {0, {0}}}};
   kg_random random = kg_random_make(2);
   for (size_t c = 0; c < KG_COUNT_OF(binaries); ++c) {

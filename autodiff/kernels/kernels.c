@@ -1,7 +1,9 @@
-/* All kernels for one arithmetic and one instruction set, and their table. Compiled once for each pair
- * (CMakeLists.txt); which table a tape uses is decided when it is created (kg_kernels_for).
+/* All kernels for one arithmetic and one instruction set, and their table. Compiled once for
+ * each pair (CMakeLists.txt); which table a tape uses is decided when it is created
+ * (kg_kernels_for).
  *
- * Every operator has name_forward, name_vjp and name_jvp; see kg_kernel in graph.h for what they do. */
+ * Every operator has name_forward, name_vjp and name_jvp; see kg_kernel in graph.h for what they
+ * do. */
 #include "autodiff/attributes.h"
 
 #include <string.h>

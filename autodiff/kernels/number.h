@@ -1,9 +1,10 @@
-/* number.h - one arithmetic per translation unit: KG_ARITHMETIC is 64, 32 or 128 (complex), KG_ISA the
- * instruction set's suffix. Kernels are written in `real`, and named by KG_NAME.
+/* number.h - one arithmetic per translation unit: KG_ARITHMETIC is 64, 32 or 128 (complex),
+ * KG_ISA the instruction set's suffix. Kernels are written in `real`, and named by KG_NAME.
  *
- * Complex numbers serve complex steps: f(x + i h d) with h so small that h^2 vanishes carries the derivative
- * in its imaginary part. So every function here is the analytic continuation of its real form beside the
- * real axis, and comparisons look at the real part: ABS is -z left of zero, not the modulus. */
+ * Complex numbers serve complex steps: f(x + i h d) with h so small that h^2 vanishes carries
+ * the derivative in its imaginary part. So every function here is the analytic continuation of
+ * its real form beside the real axis, and comparisons look at the real part: ABS is -z left of
+ * zero, not the modulus. */
 #ifndef AUTODIFF_KERNELS_NUMBER_H
 #define AUTODIFF_KERNELS_NUMBER_H
 

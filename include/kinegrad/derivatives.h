@@ -1,8 +1,8 @@
 /* kinegrad/derivatives.h - gradients and directional derivatives of what a tape has recorded.
  *
- * Arrays are double for tapes of either precision; kg_adjoint_f32 reads a float tape without a copy.
- * Sweeps reuse the tape's memory: after the first of a size, none is allocated. A sweep changes no
- * value, and the same sweep twice gives the same bits. */
+ * Arrays are double for tapes of either precision; kg_adjoint_f32 reads a float tape without a
+ * copy. Sweeps reuse the tape's memory: after the first of a size, none is allocated. A sweep
+ * changes no value, and the same sweep twice gives the same bits. */
 #ifndef KINEGRAD_DERIVATIVES_H
 #define KINEGRAD_DERIVATIVES_H
 
@@ -32,7 +32,8 @@ KG_API kg_status kg_vjp(kg_tape *tape, int directions, int output_count, const k
                         const double *const *seeds, int input_count, const kg_value *inputs,
                         double *const *results);
 
-/* Several tangents in one forward sweep: results[o] = sum_i (d outputs[o] / d inputs[i]) tangents[i]. */
+/* Several tangents in one forward sweep: results[o] = sum_i (d outputs[o] / d inputs[i])
+ * tangents[i]. */
 KG_API kg_status kg_jvp(kg_tape *tape, int directions, int input_count, const kg_value *inputs,
                         const double *const *tangents, int output_count, const kg_value *outputs,
                         double *const *results);
@@ -49,8 +50,8 @@ KG_API kg_status kg_colour_columns(const kg_sparse *pattern, int32_t *colour, in
 
 /* The entries of the pattern, in its order: values[k] = J(row, column[k]). */
 KG_API kg_status kg_jacobian_coloured(kg_tape *tape, kg_value output, kg_value input,
-                                      const kg_sparse *pattern, const int32_t *colour,
-                                      int colours, double *values);
+                                      const kg_sparse *pattern, const int32_t *colour, int colours,
+                                      double *values);
 
 /* H v = d/dh gradient(x + h v) at h = 0 for the inputs together, exact to rounding: the recorded
  * graph is run again in complex arithmetic at x + i h v with h = 1e-100, forwards and backwards.

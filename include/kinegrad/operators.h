@@ -1,16 +1,18 @@
 /* kinegrad/operators.h - the operators of the tape.
  *
- * Conventions. Tensors are row-major; an axis may be counted from the end (-1 is the last). Element-wise
- * operators broadcast: shapes are aligned at the last axis, and an extent of 1 or a missing axis is
- * repeated. KG_ERR_SHAPE with both shapes in the text where they do not fit. Every function returns
- * the null value on failure (tape.h).
+ * Conventions. Tensors are row-major; an axis may be counted from the end (-1 is the last).
+ * Element-wise operators broadcast: shapes are aligned at the last axis, and an extent of 1 or a
+ * missing axis is repeated. KG_ERR_SHAPE with both shapes in the text where they do not fit.
+ * Every function returns the null value on failure (tape.h).
  *
  * Not-a-number. A zero adjoint stops: element-wise rules add nothing where the adjoint of the
- * result is zero, even where the partial derivative is infinite or NaN (sqrt at 0). Matrix products, solves
- * and convolutions follow IEEE arithmetic. Where a function has a kink the derivative used is stated.
+ * result is zero, even where the partial derivative is infinite or NaN (sqrt at 0). Matrix
+ * products, solves and convolutions follow IEEE arithmetic. Where a function has a kink the
+ * derivative used is stated.
  *
- * Source of the adjoint rules of matrix operators: M. B. Giles, Collected matrix derivative results
- * for forward and reverse mode algorithmic differentiation, Advances in AD, LNCSE 64 (2008). */
+ * Source of the adjoint rules of matrix operators: M. B. Giles, Collected matrix derivative
+ * results for forward and reverse mode algorithmic differentiation, Advances in AD, LNCSE 64
+ * (2008). */
 #ifndef KINEGRAD_OPERATORS_H
 #define KINEGRAD_OPERATORS_H
 
@@ -111,15 +113,15 @@ enum {
   KG_UNIT = 8   /* its diagonal is taken as 1                     */
 };
 
-/* Product over the last two axes: (..., m, k) (..., k, n) -> (..., m, n). Leading axes are equal, or
- * one operand has rank 2 and serves all. flags: KG_TRANSPOSE_A, KG_TRANSPOSE_B. */
+/* Product over the last two axes: (..., m, k) (..., k, n) -> (..., m, n). Leading axes are
+ * equal, or one operand has rank 2 and serves all. flags: KG_TRANSPOSE_A, KG_TRANSPOSE_B. */
 KG_API kg_value kg_matmul(kg_tape *tape, kg_value a, kg_value b, int flags);
 
 /* x W + bias: x (..., m), W (m, n), bias (n) or the null value for none -> (..., n). */
 KG_API kg_value kg_affine(kg_tape *tape, kg_value x, kg_value weight, kg_value bias);
 
-/* X with A X = B: A (..., n, n), B (..., n, m), leading axes equal. LU with row exchanges; a pivot that
- * is zero or not finite: KG_ERR_UNDEFINED. flags: KG_TRANSPOSE_A. */
+/* X with A X = B: A (..., n, n), B (..., n, m), leading axes equal. LU with row exchanges; a
+ * pivot that is zero or not finite: KG_ERR_UNDEFINED. flags: KG_TRANSPOSE_A. */
 KG_API kg_value kg_solve(kg_tape *tape, kg_value a, kg_value b, int flags);
 
 /* The same for a triangular A, of which the other triangle is not read.
@@ -141,11 +143,11 @@ KG_API kg_value kg_stack(kg_tape *tape, int count, const kg_value *scalars);
 KG_API kg_value kg_element(kg_tape *tape, kg_value a, size_t index);
 /* Entry i of the axis of the result is entry index[i] of a; 0 where index[i] is -1. */
 KG_API kg_value kg_gather(kg_tape *tape, kg_value a, int axis, int count, const int32_t *index);
-/* The adjoint of gather: entry index[i] of the result, of extent `extent`, is the sum of the entries
- * i of a; index[i] = -1 drops one. */
+/* The adjoint of gather: entry index[i] of the result, of extent `extent`, is the sum of the
+ * entries i of a; index[i] = -1 drops one. */
 KG_API kg_value kg_scatter(kg_tape *tape, kg_value a, int axis, int extent, const int32_t *index);
 
-/* -- 3-vectors and rotations: the last axis is 3, or 4 for quaternions (w first) ------------------ */
+/* -- 3-vectors and rotations: the last axis is 3, or 4 for quaternions (w first) --------------- */
 
 KG_API kg_value kg_cross(kg_tape *tape, kg_value a, kg_value b); /* equal shapes */
 /* Hamilton product p q: first q, then p. Equal shapes. */
@@ -163,8 +165,8 @@ KG_API kg_value kg_normalize(kg_tape *tape, kg_value a);
 
 /* -- graphs and time --------------------------------------------------------------------------- */
 
-/* A fixed sparse matrix in compressed rows: row r holds column[k] with weight[k], start[r] <= k < start[r+1].
- * Copied by the operator. */
+/* A fixed sparse matrix in compressed rows: row r holds column[k] with weight[k],
+ * start[r] <= k < start[r+1]. Copied by the operator. */
 typedef struct kg_sparse {
   int32_t rows, columns;
   const int32_t *start;  /* (rows + 1), from 0, not decreasing */
@@ -180,9 +182,10 @@ typedef enum kg_padding {
   KG_PAD_CAUSAL /* zeros before the first frame only             */
 } kg_padding;
 
-/* Convolution in time (the networks' kind: no reversal): x (batch, time, in), weight (taps, in, out),
- * bias (out) or null -> (batch, time, out):
- *   y[t] = bias + sum_k x[t + (k - c) dilation] weight[k],  c = (taps - 1) / 2, or taps - 1 if causal. */
+/* Convolution in time (the networks' kind: no reversal): x (batch, time, in), weight (taps, in,
+ * out), bias (out) or null -> (batch, time, out):
+ *   y[t] = bias + sum_k x[t + (k - c) dilation] weight[k],
+ *   c = (taps - 1) / 2, or taps - 1 if causal. */
 KG_API kg_value kg_convolve(kg_tape *tape, kg_value x, kg_value weight, kg_value bias,
                             kg_padding padding, int dilation);
 

@@ -8,19 +8,20 @@
  *   kg_adjoint_item(tape, x);                                  dy/dx = sin x + x cos x
  *   kg_tape_destroy(tape);
  *
- * Recording evaluates: every operator of operators.h computes its result at once and remembers how
- * it was made. derivatives.h walks the record backwards (gradients) or forwards (directional
+ * Recording evaluates: every operator of operators.h computes its result at once and remembers
+ * how it was made. derivatives.h walks the record backwards (gradients) or forwards (directional
  * derivatives), program.h freezes it for other inputs, primitive.h adds operators of your own.
  *
  * A tape is an ordinary object: any number may exist, each used by one thread at a time.
  *
- * Errors. An operator that fails returns the null value, and a null operand makes the null value, so
- * a formula may be written out and checked once: kg_tape_status holds the first failure,
- * kg_tape_error its text, which names the operator, the tag in force and the shapes. Every call
- * that returns a kg_status reports it too. kg_tape_rewind clears it.
+ * Errors. An operator that fails returns the null value, and a null operand makes the null
+ * value, so a formula may be written out and checked once: kg_tape_status holds the first
+ * failure, kg_tape_error its text, which names the operator, the tag in force and the shapes.
+ * Every call that returns a kg_status reports it too. kg_tape_rewind clears it.
  *
- * Memory. Values live until the tape is rewound past them or destroyed. Rewinding keeps the memory:
- * a loop that rewinds and records the same sizes again allocates nothing after its first round. */
+ * Memory. Values live until the tape is rewound past them or destroyed. Rewinding keeps the
+ * memory: a loop that rewinds and records the same sizes again allocates nothing after its first
+ * round. */
 #ifndef KINEGRAD_TAPE_H
 #define KINEGRAD_TAPE_H
 
@@ -108,8 +109,9 @@ typedef struct kg_tape_mark {
   size_t tags;
 } kg_tape_mark;
 
-/* Everything recorded after the mark is forgotten by the rewind; everything before it, parameters
- * for instance, stays valid with its value. A zero-initialised mark is the empty tape. Clears the error. */
+/* Everything recorded after the mark is forgotten by the rewind; everything before it,
+ * parameters for instance, stays valid with its value. A zero-initialised mark is the empty
+ * tape. Clears the error. */
 KG_API kg_tape_mark kg_tape_mark_of(const kg_tape *tape);
 KG_API void kg_tape_rewind(kg_tape *tape, kg_tape_mark mark);
 
@@ -129,12 +131,12 @@ KG_API size_t kg_tape_bytes(const kg_tape *tape); /* memory held     */
 /* The first operator, in recorded order, whose result holds a NaN or an infinity although its
  * operands hold none (inputs and constants count as operators without operands). */
 typedef struct kg_trace {
-  kg_value value;      /* null when every value is finite        */
-  size_t index;        /* the first offending entry              */
-  double item;         /* NaN or infinity                        */
-  const char *op;      /* operator, "input" or "constant"        */
-  const char *tag;     /* the user's tag, NULL when there was none */
-  bool adjoint;        /* found by kg_trace_adjoint              */
+  kg_value value;  /* null when every value is finite        */
+  size_t index;    /* the first offending entry              */
+  double item;     /* NaN or infinity                        */
+  const char *op;  /* operator, "input" or "constant"        */
+  const char *tag; /* the user's tag, NULL when there was none */
+  bool adjoint;    /* found by kg_trace_adjoint              */
 } kg_trace;
 
 KG_API kg_trace kg_trace_value(const kg_tape *tape);
