@@ -14,4 +14,11 @@ typedef struct kg_elementwise {
   double p, q; /* constants of the rule */
 } kg_elementwise;
 
+/* Products of matrices: (m, k) (k, n), batch times. */
+typedef struct kg_product {
+  size_t batch, m, n, k;
+  size_t step_a, step_b; /* entries from one matrix of the batch to the next; 0: one serves all */
+  int64_t transposed_a, transposed_b;
+} kg_product;
+
 #endif

@@ -1,2 +1,98 @@
-/* matrix */
+/* Matrix operators: shapes checked, kernels told the sizes. The rules are in kernels/matrix.inc. */
+#include "autodiff/attributes.h"
 #include "autodiff/tape.h"
+
+/* rows and columns of the last two axes, as used */
+static void last_two(kg_shape shape, bool transposed, int32_t *rows, int32_t *columns)
+{
+  *rows = shape.dim[shape.rank - (transposed ? 1 : 2)];
+  *columns = shape.dim[shape.rank - (transposed ? 2 : 1)];
+}
+
+/* the shape before the last two axes equals the other's */
+static bool leading_equal(kg_shape a, kg_shape b)
+{
+  a.rank -= 2;
+  b.rank -= 2;
+  return kg_same_shape(a, b);
+}
+
+static size_t leading_size(kg_shape shape)
+{
+  shape.rank -= 2;
+  return kg_shape_size(&shape);
+}
+
+static kg_value refuse_shapes(kg_tape *tape, kg_op op, kg_shape a, kg_shape b, const char *why)
+{
+  return kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shapes %s and %s%s", kg_shape_print(a).text,
+                   kg_shape_print(b).text, why);
+}
+
+/* -- products ---------------------------------------------------------------------------------- */
+
+static kg_value record_product(kg_tape *tape, kg_op op, int count, const kg_value *operands,
+                               kg_shape shape, kg_product *product)
+{
+  if (product->batch == 1 && product->m > INT32_MAX) { /* what BLAS can count */
+    return kg_refuse(tape, KG_ERR_UNSUPPORTED, kg_op_name(op), "more than 2^31 rows");
+  }
+  return kg_record(tape, &(kg_recipe){.op = op,
+                                      .count = count,
+                                      .operands = operands,
+                                      .shape = shape,
+                                      .attributes = product,
+                                      .attribute_bytes = sizeof *product});
+}
+
+kg_value kg_matmul(kg_tape *tape, kg_value a, kg_value b, int flags)
+{
+  const kg_value operands[2] = {a, b};
+  if (!kg_operands_given(tape, 2, operands)) return (kg_value){0};
+  const kg_shape sa = kg_shape_of(tape, a), sb = kg_shape_of(tape, b);
+  const bool ta = flags & KG_TRANSPOSE_A, tb = flags & KG_TRANSPOSE_B;
+  if (sa.rank < 2 || sb.rank < 2) {
+    return refuse_shapes(tape, kg_op_matmul, sa, sb, ": two axes at least");
+  }
+  int32_t m, k, other, n;
+  last_two(sa, ta, &m, &k);
+  last_two(sb, tb, &other, &n);
+  if (k != other || (sa.rank > 2 && sb.rank > 2 && !leading_equal(sa, sb))) {
+    return refuse_shapes(tape, kg_op_matmul, sa, sb, ta || tb ? ", transposed as asked" : "");
+  }
+  kg_shape shape = sa.rank > 2 ? sa : sb;
+  shape.dim[shape.rank - 2] = m;
+  shape.dim[shape.rank - 1] = n;
+  kg_product p = {.batch = leading_size(shape), .m = (size_t)m, .n = (size_t)n, .k = (size_t)k};
+  p.transposed_a = ta;
+  p.transposed_b = tb;
+  p.step_a = sa.rank > 2 ? p.m * p.k : 0;
+  p.step_b = sb.rank > 2 ? p.k * p.n : 0;
+  if (!p.step_b && !ta) { /* the rows of all batches are those of one matrix */
+    p.m *= p.batch;
+    p.batch = 1;
+  }
+  return record_product(tape, kg_op_matmul, 2, operands, shape, &p);
+}
+
+kg_value kg_affine(kg_tape *tape, kg_value x, kg_value weight, kg_value bias)
+{
+  const kg_value operands[3] = {x, weight, bias};
+  const int count = bias.id ? 3 : 2;
+  if (!kg_operands_given(tape, count, operands)) return (kg_value){0};
+  kg_shape shape = kg_shape_of(tape, x);
+  const kg_shape sw = kg_shape_of(tape, weight), sb = kg_shape_of(tape, bias);
+  const int last = shape.rank - 1;
+  if (last < 0 || sw.rank != 2 || shape.dim[last] != sw.dim[0] ||
+      (bias.id && (sb.rank != 1 || sb.dim[0] != sw.dim[1]))) {
+    return kg_refuse(tape, KG_ERR_SHAPE, "affine", "x %s, weight %s, bias %s",
+                     kg_shape_print(shape).text, kg_shape_print(sw).text,
+                     bias.id ? kg_shape_print(sb).text : "none");
+  }
+  kg_product p = {.batch = 1,
+                  .m = kg_shape_size(&shape) / (size_t)sw.dim[0],
+                  .n = (size_t)sw.dim[1],
+                  .k = (size_t)sw.dim[0]};
+  shape.dim[last] = sw.dim[1];
+  return record_product(tape, kg_op_affine, count, operands, shape, &p);
+}

@@ -1,0 +1,182 @@
+/* Matrix operators: values against plain loops, derivatives against complex steps. */
+#include "tape_support.h"
+
+static kg_tape *new_tape(kg_precision precision)
+{
+  kg_tape *tape;
+  const kg_tape_def def = {.precision = precision, .simd = 3};
+  assert_int_equal(kg_tape_create(&def, &tape, NULL), KG_OK);
+  return tape;
+}
+
+static kg_value random_input(kg_tape *tape, kg_shape shape, kg_random *random)
+{
+  double *x = random_numbers(random, kg_shape_size(&shape));
+  const kg_value value = kg_input(tape, shape, x);
+  free(x);
+  return value;
+}
+
+/* entry (i, j) of matrix number `batch` of a value, transposed if asked; rank 2 serves every batch */
+static double at(const kg_tape *tape, kg_value a, size_t batch, size_t i, size_t j, bool transposed)
+{
+  const kg_shape shape = kg_shape_of(tape, a);
+  const size_t rows = (size_t)shape.dim[shape.rank - 2],
+               columns = (size_t)shape.dim[shape.rank - 1];
+  const size_t start = shape.rank > 2 ? batch * rows * columns : 0;
+  return kg_item_at(tape, a, start + (transposed ? j * columns + i : i * columns + j));
+}
+
+static size_t extent(const kg_tape *tape, kg_value a, int from_last)
+{
+  const kg_shape shape = kg_shape_of(tape, a);
+  return (size_t)shape.dim[shape.rank - from_last];
+}
+
+/* y = op(a) op(b), to tolerance of the sum of absolute products */
+static void check_product(const kg_tape *tape, kg_value a, kg_value b, int flags, kg_value y,
+                          double tolerance)
+{
+  const bool ta = flags & KG_TRANSPOSE_A, tb = flags & KG_TRANSPOSE_B;
+  const size_t m = extent(tape, y, 2), n = extent(tape, y, 1), k = extent(tape, b, tb ? 1 : 2);
+  for (size_t e = 0; e < kg_size_of(tape, y); ++e) {
+    const size_t batch = e / (m * n), i = e / n % m, j = e % n;
+    double sum = 0, size = 0;
+    for (size_t p = 0; p < k; ++p) {
+      const double term = at(tape, a, batch, i, p, ta) * at(tape, b, batch, p, j, tb);
+      sum += term;
+      size += fabs(term);
+    }
+    assert_at_most(fabs(kg_item_at(tape, y, e) - sum), tolerance * size);
+  }
+}
+
+static const struct product_case {
+  kg_shape a, b;
+  int flags;
+} products[] = {{{2, {3, 4}}, {2, {4, 5}}, 0},
+                {{2, {4, 3}}, {2, {4, 5}}, KG_TRANSPOSE_A},
+                {{2, {3, 4}}, {2, {5, 4}}, KG_TRANSPOSE_B},
+                {{2, {4, 3}}, {2, {5, 4}}, KG_TRANSPOSE_A | KG_TRANSPOSE_B},
+                {{3, {2, 3, 4}}, {3, {2, 4, 5}}, 0},
+                {{4, {2, 3, 4, 2}}, {4, {2, 3, 5, 2}}, KG_TRANSPOSE_B},
+                {{3, {2, 3, 4}}, {2, {4, 5}}, 0},
+                {{3, {2, 3, 4}}, {2, {5, 4}}, KG_TRANSPOSE_B},
+                {{3, {2, 4, 3}}, {2, {4, 5}}, KG_TRANSPOSE_A},
+                {{2, {3, 4}}, {3, {2, 4, 5}}, 0},
+                {{2, {4, 3}}, {3, {2, 5, 4}}, KG_TRANSPOSE_A | KG_TRANSPOSE_B},
+                {{2, {1, 1}}, {2, {1, 1}}, 0},
+                {{2, {1, 30}}, {2, {30, 1}}, 0},
+                {{2, {33, 20}}, {2, {20, 17}}, 0}};
+
+static void products_are_sums_of_products(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(1);
+  for (size_t c = 0; c < KG_COUNT_OF(products); ++c) {
+    for (int precision = 0; precision < 2; ++precision) {
+      kg_tape *tape = new_tape(precision ? KG_FLOAT : KG_DOUBLE);
+      const kg_value v[2] = {random_input(tape, products[c].a, &random),
+                             random_input(tape, products[c].b, &random)};
+      const kg_value y = kg_matmul(tape, v[0], v[1], products[c].flags);
+      assert_false(kg_is_null(y));
+      check_product(tape, v[0], v[1], products[c].flags, y, precision ? 1e-6 : 1e-15);
+      if (!precision) {
+        check_operator(tape, 2, v, y, &random, 1e-13);
+        check_lanes(tape, y, &random);
+      }
+      kg_tape_destroy(tape);
+    }
+  }
+}
+
+static void affine_adds_the_bias_to_every_row(void **state)
+{
+  (void)state;
+  static const kg_shape shapes[] = {{1, {6}}, {2, {5, 6}}, {3, {2, 3, 6}}};
+  kg_random random = kg_random_make(2);
+  for (size_t c = 0; c < KG_COUNT_OF(shapes); ++c) {
+    for (int biased = 0; biased < 2; ++biased) {
+      kg_tape *tape = new_tape(KG_DOUBLE);
+      const kg_value v[3] = {random_input(tape, shapes[c], &random),
+                             random_input(tape, KG_SHAPE(6, 4), &random),
+                             random_input(tape, KG_SHAPE(4), &random)};
+      const kg_value bias = biased ? v[2] : (kg_value){0};
+      const kg_value y = kg_affine(tape, v[0], v[1], bias);
+      assert_false(kg_is_null(y));
+      assert_int_equal(kg_shape_of(tape, y).rank, shapes[c].rank);
+      for (size_t e = 0; e < kg_size_of(tape, y); ++e) {
+        double sum = biased ? kg_item_at(tape, bias, e % 4) : 0;
+        for (size_t p = 0; p < 6; ++p) {
+          sum += kg_item_at(tape, v[0], e / 4 * 6 + p) * kg_item_at(tape, v[1], p * 4 + e % 4);
+        }
+        assert_close(kg_item_at(tape, y, e), sum, 1e-14);
+      }
+      check_operator(tape, biased ? 3 : 2, v, y, &random, 1e-13);
+      check_lanes(tape, y, &random);
+      kg_tape_destroy(tape);
+    }
+  }
+}
+
+/* a product of a constant spends nothing on it, and the other operand's adjoint is the same */
+static void constants_receive_no_adjoint(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(3);
+  for (int which = 0; which < 2; ++which) {
+    kg_tape *tape = new_tape(KG_DOUBLE);
+    double *x[2] = {random_numbers(&random, 12), random_numbers(&random, 20)};
+    const kg_shape shapes[2] = {KG_SHAPE(3, 4), KG_SHAPE(4, 5)};
+    kg_value v[2];
+    for (int k = 0; k < 2; ++k) {
+      v[k] = k == which ? kg_constant(tape, shapes[k], x[k]) : kg_input(tape, shapes[k], x[k]);
+      free(x[k]);
+    }
+    const kg_value y = kg_matmul(tape, v[0], v[1], 0);
+    check_operator(tape, 1, &v[1 - which], y, &random, 1e-13);
+    assert_null(kg_adjoint(tape, v[which]));
+    kg_tape_destroy(tape);
+  }
+}
+
+static void shapes_that_do_not_fit_are_named(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_tape_mark empty = {0};
+  static const struct {
+    kg_shape a, b;
+    int flags;
+    const char *text;
+  } wrong[] = {{{2, {3, 4}}, {2, {5, 4}}, 0, "matmul: shapes (3, 4) and (5, 4)"},
+               {{2, {3, 4}},
+                {2, {4, 5}},
+                KG_TRANSPOSE_A,
+                "matmul: shapes (3, 4) and (4, 5), transposed as asked"},
+               {{1, {4}}, {2, {4, 5}}, 0, "matmul: shapes (4) and (4, 5): two axes at least"},
+               {{3, {2, 3, 4}}, {3, {3, 4, 5}}, 0, "matmul: shapes (2, 3, 4) and (3, 4, 5)"}};
+  for (size_t c = 0; c < KG_COUNT_OF(wrong); ++c) {
+    const kg_value a = kg_input(tape, wrong[c].a, NULL), b = kg_input(tape, wrong[c].b, NULL);
+    assert_true(kg_is_null(kg_matmul(tape, a, b, wrong[c].flags)));
+    assert_int_equal(kg_tape_status(tape), KG_ERR_SHAPE);
+    assert_string_equal(kg_tape_error(tape)->text, wrong[c].text);
+    kg_tape_rewind(tape, empty);
+  }
+  const kg_value x = kg_input(tape, KG_SHAPE(2, 6), NULL), w = kg_input(tape, KG_SHAPE(6, 4), NULL);
+  const kg_value bias = kg_input(tape, KG_SHAPE(6), NULL);
+  assert_true(kg_is_null(kg_affine(tape, x, w, bias)));
+  assert_string_equal(kg_tape_error(tape)->text, "affine: x (2, 6), weight (6, 4), bias (6)");
+  kg_tape_destroy(tape);
+}
+
+int main(void)
+{
+  const struct CMUnitTest tests[] = {
+    cmocka_unit_test(products_are_sums_of_products),
+    cmocka_unit_test(affine_adds_the_bias_to_every_row),
+    cmocka_unit_test(constants_receive_no_adjoint),
+    cmocka_unit_test(shapes_that_do_not_fit_are_named),
+  };
+  return cmocka_run_group_tests(tests, NULL, NULL);
+}
