@@ -155,6 +155,7 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
     return push_scalar(tape, kg_op_##name, operand, (kg_value){0}, y, slope_rule, p);              \
   }
 KG_UNARY_LIST(UNARY_SCALAR)
+KG_TRIG_LIST(UNARY_SCALAR)
 
 #define UNARY_FUNCTION(name)                                                                       \
   kg_value kg_##name(kg_tape *tape, kg_value a)                                                    \

@@ -22,8 +22,6 @@
   X(expm1,      EXPM1(a),               y + KG_ONE)                                                \
   X(log,        LOG(a),                 KG_ONE / a)                                                \
   X(log1p,      LOG1P(a),               KG_ONE / (KG_ONE + a))                                     \
-  X(sin,        SIN(a),                 COS(a))                                                    \
-  X(cos,        COS(a),                 -SIN(a))                                                   \
   X(tan,        TAN(a),                 KG_ONE + y * y)                                            \
   X(asin,       ASIN(a),                KG_ONE / SQRT((KG_ONE - a) * (KG_ONE + a)))                \
   X(acos,       ACOS(a),                -KG_ONE / SQRT((KG_ONE - a) * (KG_ONE + a)))               \
@@ -37,6 +35,11 @@
   X(scale,      p * a,                  p)                                                         \
   X(shift,      a + p,                  KG_ONE)                                                    \
   X(power,      POW(a, p),              POWER_SLOPE(a, p))
+
+/* whose loops have a form of their own (elementary.h) */
+#define KG_TRIG_LIST(X)                                                                            \
+  X(sin,        SIN(a),                 COS(a))                                                    \
+  X(cos,        COS(a),                 -SIN(a))
 
 /* of two constants: tensors only, a scalar's is made of min and max */
 #define KG_CLIP_LIST(X)                                                                            \
@@ -73,7 +76,7 @@
 #define KG_ENUM_TENSOR(name) kg_op_##name,
 typedef enum kg_op {
   kg_op_input, kg_op_constant, kg_op_primitive,
-  KG_UNARY_LIST(KG_ENUM) KG_CLIP_LIST(KG_ENUM) KG_BINARY_LIST(KG_ENUM)
+  KG_UNARY_LIST(KG_ENUM) KG_TRIG_LIST(KG_ENUM) KG_CLIP_LIST(KG_ENUM) KG_BINARY_LIST(KG_ENUM)
   KG_TENSOR_LIST(KG_ENUM_TENSOR)
   KG_OP_COUNT
 } kg_op;

@@ -13,20 +13,25 @@
 #define KG_PASTE_(a, b, c) a##b##c
 #define KG_PASTE(a, b, c) KG_PASTE_(a, b, c)
 
+#include "autodiff/elementary.h"
+
 #if KG_ARITHMETIC == 64
 typedef double real;
 #define KG_TYPE f64
 #define FN(name) name
+#define OWN(name) kg_##name##_f64 /* elementary.h: same bits for one number and in loops */
 #elif KG_ARITHMETIC == 32
 typedef float real;
 #define KG_TYPE f32
 #define FN(name) name##f
+#define OWN(name) kg_##name##_f32
 #else
 #include <complex.h>
 #undef I
 typedef double _Complex real;
 #define KG_TYPE c64
 #define FN(name) c##name
+#define OWN(name) FN(name)
 #endif
 
 #define KG_TABLE_(type, isa) kg_kernels_##type##_##isa
@@ -37,10 +42,10 @@ typedef double _Complex real;
 #define HALF ((real)0.5)
 
 #define SQRT(a) FN(sqrt)(a)
-#define EXP(a) FN(exp)(a)
-#define LOG(a) FN(log)(a)
-#define SIN(a) FN(sin)(a)
-#define COS(a) FN(cos)(a)
+#define EXP(a) OWN(exp)(a)
+#define LOG(a) OWN(log)(a)
+#define SIN(a) OWN(sin)(a)
+#define COS(a) OWN(cos)(a)
 #define TAN(a) FN(tan)(a)
 #define ASIN(a) FN(asin)(a)
 #define ACOS(a) FN(acos)(a)
@@ -52,25 +57,14 @@ typedef double _Complex real;
 typedef real part; /* what comparisons look at */
 #define RE(a) (a)
 #define ABS(a) FN(fabs)(a)
-#define EXPM1(a) FN(expm1)(a)
-#define LOG1P(a) FN(log1p)(a)
-#define TANH(a) FN(tanh)(a)
-#define SIGMOID(a) kg_sigmoid_of(a)
-#define SOFTPLUS(a) kg_softplus_of(a)
+#define EXPM1(a) OWN(expm1)(a)
+#define LOG1P(a) OWN(log1p)(a)
+#define TANH(a) OWN(tanh)(a)
+#define SIGMOID(a) OWN(sigmoid)(a)
+#define SOFTPLUS(a) OWN(softplus)(a)
 #define POW(a, b) FN(pow)(a, b)
 #define ATAN2(a, b) FN(atan2)(a, b)
 #define HYPOT(a, b) FN(hypot)(a, b)
-
-static inline real kg_sigmoid_of(real a)
-{
-  const real e = EXP(-ABS(a));
-  return a >= 0 ? KG_ONE / (KG_ONE + e) : e / (KG_ONE + e);
-}
-
-static inline real kg_softplus_of(real a)
-{
-  return (a > 0 ? a : 0) + LOG1P(EXP(-ABS(a)));
-}
 #else
 typedef double part;
 #define RE(a) creal(a)
