@@ -1,11 +1,17 @@
 /* kinegrad/gradcheck.h - is this derivative right? Any function, four independent questions.
  *
- *   value of the derivative   the gradient against numerical differentiation, entry by entry: complex step where
- *                             the function can be run in complex numbers, else Ridders' extrapolated
- *                             central differences with their own error estimate
- *   Taylor order              |f(x + h d) - f(x)| falls like h, |f(x + h d) - f(x) - h J d| like h^2, along a random d
- *   dot test                  <w, J d> = <J' w, d>, where both products exist
- *   repeatability             a second and third call return the same bits
+ *   entries          J' e_i and J e_j against numerical differentiation, entry by entry: complex step [CS] where
+ *                    the function can be run in complex numbers, else extrapolated central differences with
+ *                    their own error estimate [Ridders]
+ *   Taylor order     |f(x + h d) - f(x) - h J d| falls like h^2 along random directions d
+ *   dot test         <w, J d> = <J' w, d>
+ *   repeatability    a second and a third call return the same bits, other points in between
+ *
+ * How an entry is judged. Its error is put over the largest entry of J. Where the differences resolve more, it
+ * is put over the entry itself: in 1e8 x_0 + sin x_1 the wrong sign of the small entry is found. Entries that
+ * would change f by less than 1e-5 of itself (1e-2 with a complex step) over max(1, |x_j|) count as that large.
+ * A numerical derivative whose own error is larger than the tolerance decides nothing: that is not a pass, and
+ * the row says "undecided".
  *
  * [Ridders] C. J. F. Ridders, Accurate computation of F'(x) and F'(x) F''(x), Advances in Engineering
  * Software 4 (1982). [CS] W. Squire, G. Trapp, SIAM Review 40 (1998). */
@@ -25,7 +31,8 @@ typedef struct kg_differentiable {
   void *user;
   kg_status (*value)(void *user, const double *x, double *y);
   kg_status (*vjp)(void *user, const double *x, const double *w, double *xw); /* xw = J' w */
-  kg_status (*jvp)(void *user, const double *x, const double *d, double *yd); /* optional: yd = J d */
+  kg_status (*jvp)(void *user, const double *x, const double *d,
+                   double *yd); /* optional: yd = J d */
   /* Optional: imaginary part of value(x + i h d), divided by h. */
   kg_status (*complex_step)(void *user, const double *x, const double *d, double *yd);
 } kg_differentiable;
@@ -34,12 +41,14 @@ typedef struct kg_differentiable {
 typedef kg_value (*kg_recorded)(kg_tape *tape, kg_value x, void *user);
 
 typedef struct kg_gradcheck_def {
-  double tolerance;       /* 1e-7; 1e-12 is used where a complex step exists: largest error over the largest entry */
-  double dot_tolerance;   /* 1e-13, of the product of the norms */
-  double step;            /* 1e-2: first step of Ridders' table, times max(1, |x|) */
-  int directions;         /* 3: random directions for Taylor and dot tests */
-  bool taylor;            /* true; off where the function is known to have kinks nearby */
-  uint64_t seed;          /* 1 */
+  double tolerance;         /* 1e-7: error of an entry against differences        */
+  double complex_tolerance; /* 1e-12: against a complex step                      */
+  double dot_tolerance;     /* 1e-13: of the product of the norms                 */
+  double step; /* 1e-2: first step of the differences, times max(1, |x_j|); where they do not settle
+                               it is made smaller */
+  int directions; /* 3: random directions for Taylor and dot tests      */
+  bool taylor;    /* true; off where the function is known to have kinks nearby */
+  uint64_t seed;  /* 1 */
   const kg_allocator *allocator;
 } kg_gradcheck_def;
 
@@ -48,17 +57,23 @@ KG_API kg_gradcheck_def kg_gradcheck_default_def(void);
 typedef struct kg_gradcheck_report {
   const char *name;
   bool passed;
-  const char *method;       /* "complex step" or "Ridders" */
-  double max_relative_error;
-  size_t worst_output, worst_input; /* where */
+  const char *method;               /* "complex step" or "differences" */
+  double tolerance;                 /* the one in force                */
+  double max_relative_error;        /* of an entry; NaN where a value or product is not a number */
+  size_t worst_output, worst_input; /* where, and both numbers */
   double worst_analytic, worst_numeric;
-  double error_estimate;    /* of the numerical derivative itself, relative; 0 for a complex step */
-  double dot_test;          /* largest |<w, J d> - <J' w, d>| / (|w| |J d| + |J' w| |d|); NaN: no jvp  */
-  double taylor_order;      /* least order of the remainder found, 2 is right; NaN: not measured; +inf: exact */
+  double
+    error_estimate; /* largest relative error of the numerical derivative itself; 0: complex step */
+  double
+    dot_test; /* largest |<w, J d> - <J' w, d>| / (|w| |J d| + |J' w| |d|); without a jvp, J d is
+                                put together from the rows J' e_i, which tests that J' w is linear in w */
+  double taylor_order; /* least of all outputs and directions: 2 is right, below 1.5 fails;
+                                +inf: remainder at rounding, NaN: not measured */
   bool repeatable;
 } kg_gradcheck_report;
 
-/* KG_OK when the check could be made, whatever its answer; a failure of the function itself is returned. */
+/* KG_OK when the check could be made, whatever its answer; a failure of the function itself at x is returned. Steps
+ * to points where it is undefined (KG_ERR_UNDEFINED or not finite) are made smaller. */
 KG_API kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
                               const kg_gradcheck_def *def, kg_gradcheck_report *report,
                               kg_error *error);
@@ -66,7 +81,8 @@ KG_API kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, v
                                        kg_shape shape, const double *x, const kg_gradcheck_def *def,
                                        kg_gradcheck_report *report, kg_error *error);
 
-/* One line of a table for a terminal, without newline; index < 0 writes the heading. Returns the length as snprintf. */
+/* One line of a table for a terminal, without newline; report == NULL: the heading. Returns the length as
+ * snprintf. */
 KG_API int kg_gradcheck_row(const kg_gradcheck_report *report, char *text, size_t size);
 
 /* -- the registry: every operator and primitive of the library, with its sample points --------------- */
