@@ -116,6 +116,8 @@ size_t kg_shape_size(const kg_shape *shape);
 
 /* -- sweeps (sweep.c) -------------------------------------------------------------------------- */
 
+/* Room for the operands of the widest block; false when memory is refused. */
+bool kg_graph_reserve_pointers(kg_graph *graph);
 /* Evaluates block `node` again; its operands' data are current. */
 kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node);
 

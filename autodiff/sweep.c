@@ -23,7 +23,7 @@ kg_call kg_block_call(const kg_graph *graph, const kg_block *block, const void *
                    .saved = block->saved};
 }
 
-static bool reserve_pointers(kg_graph *graph)
+bool kg_graph_reserve_pointers(kg_graph *graph)
 {
   return kg_buffer_reserve(&graph->pointers, graph->allocator,
                            2 * (size_t)(graph->widest + 1) * sizeof(void *));
@@ -33,7 +33,7 @@ kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node)
 {
   kg_block *block = node->is.block;
   if (!block->kernel->forward) return KG_OK; /* input or constant */
-  if (!reserve_pointers(graph)) return KG_ERR_NO_MEMORY;
+  if (!kg_graph_reserve_pointers(graph)) return KG_ERR_NO_MEMORY;
   const kg_call call = kg_block_call(graph, block, graph->pointers.memory);
   return block->kernel->forward(&call);
 }
@@ -45,7 +45,7 @@ kg_status kg_sweep_begin(kg_graph *graph, int directions)
   if (!kg_buffer_reserve(&graph->scalar, graph->allocator, graph->count * s * sizeof(double)) ||
       !kg_buffer_reserve(&graph->tensor, graph->allocator,
                          graph->adjoint_size * s * graph->lanes * graph->number) ||
-      !reserve_pointers(graph)) {
+      !kg_graph_reserve_pointers(graph)) {
     return KG_ERR_NO_MEMORY;
   }
   memset(graph->scalar.memory, 0, graph->count * s * sizeof(double));

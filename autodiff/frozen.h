@@ -1,0 +1,61 @@
+/* frozen.h - inside of a program: made by freeze.c, run by program.c.
+ *
+ * A program is a graph of its own in which every node is a block, scalars included: first the
+ * inputs, then the constants, then the operators in recorded order. */
+#ifndef AUTODIFF_FROZEN_H
+#define AUTODIFF_FROZEN_H
+
+#include "autodiff/graph.h"
+#include "kinegrad/program.h"
+
+/* Numbers the user writes before a sweep, for all outputs (seeds) or all inputs (tangents): those of
+ * value i start at at[i] entries, each entry being (directions, lanes). */
+typedef struct kg_port {
+  kg_buffer memory;
+  size_t *at;  /* (count + 1) */
+  bool *given; /* (count) asked for since the directions changed */
+  int count, directions;
+} kg_port;
+
+struct kg_program {
+  kg_graph graph;
+  kg_arena arena; /* blocks and their numbers */
+  kg_arithmetic arithmetic;
+  kg_program_info info;
+  uint32_t *input, *output; /* ids */
+  uint32_t *run;            /* (info.run) nodes evaluated by a run, in order */
+  const char **tag;         /* (graph.count) the user's tags, copied; NULL without */
+  kg_port seed, tangent;
+  bool ran; /* the last run succeeded */
+  kg_error error;
+};
+
+static inline void kg_put_number(kg_arithmetic arithmetic, void *numbers, size_t at, double x)
+{
+  switch (arithmetic) {
+    case KG_F64:
+      ((double *)numbers)[at] = x;
+      break;
+    case KG_F32:
+      ((float *)numbers)[at] = (float)x;
+      break;
+    case KG_C64: /* a complex number is laid out as two doubles */
+      ((double *)numbers)[2 * at] = x;
+      ((double *)numbers)[2 * at + 1] = 0;
+      break;
+  }
+}
+
+static inline double kg_real_part(kg_arithmetic arithmetic, const void *numbers, size_t at)
+{
+  switch (arithmetic) {
+    case KG_F64:
+      return ((const double *)numbers)[at];
+    case KG_F32:
+      return (double)((const float *)numbers)[at];
+    default:
+      return ((const double *)numbers)[2 * at];
+  }
+}
+
+#endif

@@ -1,0 +1,241 @@
+/* Running a frozen program: values, adjoints, tangents. It is made in freeze.c. */
+#include "autodiff/frozen.h"
+
+#include <stdio.h>
+#include <string.h>
+
+void kg_program_destroy(kg_program *program)
+{
+  if (!program) return;
+  const kg_allocator *allocator = program->graph.allocator;
+  kg_buffer_release(&program->seed.memory, allocator);
+  kg_buffer_release(&program->tangent.memory, allocator);
+  kg_graph_release(&program->graph);
+  kg_arena_release(&program->arena);
+  kg_buffer self = {program, sizeof *program};
+  kg_buffer_release(&self, allocator);
+}
+
+kg_program_info kg_program_describe(const kg_program *program)
+{
+  const kg_graph *graph = &program->graph;
+  kg_program_info info = program->info;
+  info.bytes = sizeof *program + kg_arena_bytes(&program->arena) +
+               graph->capacity * sizeof *graph->node + graph->scalar.bytes + graph->tensor.bytes +
+               graph->pointers.bytes + program->seed.memory.bytes + program->tangent.memory.bytes;
+  return info;
+}
+
+const kg_error *kg_program_error(const kg_program *program)
+{
+  return &program->error;
+}
+
+static const kg_block *block_of(const kg_program *program, uint32_t id)
+{
+  return program->graph.node[kg_index(id)].is.block;
+}
+
+void *kg_program_input(kg_program *program, int i)
+{
+  KG_ASSERT(i >= 0 && i < program->info.inputs);
+  return block_of(program, program->input[i])->data;
+}
+
+const void *kg_program_output(const kg_program *program, int o)
+{
+  KG_ASSERT(o >= 0 && o < program->info.outputs);
+  return block_of(program, program->output[o])->data;
+}
+
+size_t kg_program_input_size(const kg_program *program, int i)
+{
+  KG_ASSERT(i >= 0 && i < program->info.inputs);
+  return block_of(program, program->input[i])->size;
+}
+
+size_t kg_program_output_size(const kg_program *program, int o)
+{
+  KG_ASSERT(o >= 0 && o < program->info.outputs);
+  return block_of(program, program->output[o])->size;
+}
+
+/* -- values ------------------------------------------------------------------------------------ */
+
+/* The first lane in which a comparison turned around, found by asking each lane alone. */
+static size_t stale_lane(const kg_program *program, const kg_block *block)
+{
+  const size_t number = program->graph.number;
+  char operand[2][16], out[16];
+  const void *in[2] = {operand[0], operand[1]};
+  kg_call call = {block->attributes, block->size, 1, block->count, in, out, NULL};
+  for (size_t lane = 0; lane < program->graph.lanes; ++lane) {
+    for (int k = 0; k < 2; ++k) {
+      const char *data = block_of(program, block->input[k])->data;
+      memcpy(operand[k], data + lane * number, number);
+    }
+    if (block->kernel->forward(&call) != KG_OK) return lane;
+  }
+  return 0;
+}
+
+static kg_status fail(kg_program *program, kg_status status, const char *what, const char *tag,
+                      const char *text)
+{
+  return kg_fail(&program->error, status, "", 0, 0, "%s%s%.200s%s: %s", what, tag ? " [" : "",
+                 tag ? tag : "", tag ? "]" : "", text);
+}
+
+/* The operands' operator says more about a comparison than "is_less". */
+static kg_status fail_at(kg_program *program, uint32_t index, kg_status status)
+{
+  const kg_node *node = &program->graph.node[index];
+  const kg_block *block = node->is.block;
+  const char *tag = program->tag[index];
+  if (status != KG_ERR_STALE) {
+    return fail(program, status, kg_op_name((kg_op)node->op), tag, kg_status_text(status));
+  }
+  const kg_op a = (kg_op)program->graph.node[kg_index(block->input[0])].op;
+  const kg_op b = (kg_op)program->graph.node[kg_index(block->input[1])].op;
+  char text[200];
+  snprintf(text, sizeof text, "%s (%s < %s), lane %zu", kg_status_text(status), kg_op_name(a),
+           kg_op_name(b), stale_lane(program, block));
+  return fail(program, status, kg_op_name((kg_op)node->op), tag, text);
+}
+
+kg_status kg_program_run(kg_program *program)
+{
+  kg_graph *graph = &program->graph;
+  program->ran = false;
+  for (size_t i = 0; i < program->info.run; ++i) {
+    const uint32_t index = program->run[i];
+    const kg_status status = kg_graph_evaluate(graph, &graph->node[index]);
+    if (status != KG_OK) return fail_at(program, index, status);
+  }
+  program->ran = true;
+  return KG_OK;
+}
+
+/* -- seeds and tangents ------------------------------------------------------------------------ */
+
+/* bytes of one entry, of all directions and lanes */
+static size_t entry_bytes(const kg_program *program, int directions)
+{
+  return (size_t)directions * program->graph.lanes * program->graph.number;
+}
+
+static void *open_port(kg_program *program, kg_port *port, int i, int directions)
+{
+  KG_ASSERT(directions > 0 && i >= 0 && i < port->count);
+  const size_t entry = entry_bytes(program, directions);
+  if (port->directions != directions) {
+    const size_t bytes = port->at[port->count] * entry;
+    port->directions = 0;
+    if (!kg_buffer_reserve(&port->memory, program->graph.allocator, bytes)) {
+      fail(program, KG_ERR_NO_MEMORY, "program", NULL, "no memory for the seeds of a sweep");
+      return NULL;
+    }
+    memset(port->memory.memory, 0, bytes);
+    memset(port->given, 0, (size_t)port->count * sizeof *port->given);
+    port->directions = directions;
+  }
+  port->given[i] = true;
+  return (char *)port->memory.memory + port->at[i] * entry;
+}
+
+void *kg_program_seed(kg_program *program, int o, int directions)
+{
+  return open_port(program, &program->seed, o, directions);
+}
+
+void *kg_program_tangent(kg_program *program, int i, int directions)
+{
+  return open_port(program, &program->tangent, i, directions);
+}
+
+static void add_numbers(const kg_program *program, void *to, const void *from, size_t bytes)
+{
+  if (program->arithmetic == KG_F32) {
+    float *t = to;
+    const float *x = from;
+    for (size_t i = 0; i < bytes / sizeof *t; ++i) {
+      t[i] += x[i];
+    }
+  } else { /* complex numbers add like twice as many doubles */
+    double *t = to;
+    const double *x = from;
+    for (size_t i = 0; i < bytes / sizeof *t; ++i) {
+      t[i] += x[i];
+    }
+  }
+}
+
+/* Starts a sweep from what was written to the port. */
+static kg_status begin_sweep(kg_program *program, const kg_port *port, const uint32_t *ids,
+                             const char *call, int directions)
+{
+  if (!program->ran)
+    return fail(program, KG_ERR_UNDEFINED, call, NULL, "no run has succeeded before");
+  if (port->directions != directions) {
+    return fail(program, KG_ERR_UNDEFINED, call, NULL, "nothing was given for so many directions");
+  }
+  if (kg_sweep_begin(&program->graph, directions) != KG_OK) {
+    return fail(program, KG_ERR_NO_MEMORY, call, NULL, "no memory for so many directions");
+  }
+  for (int i = 0; i < port->count; ++i) {
+    void *to = port->given[i] ? kg_sweep_seed(&program->graph, ids[i]) : NULL;
+    const size_t entry = entry_bytes(program, directions);
+    const char *from = (char *)port->memory.memory + port->at[i] * entry;
+    if (to) add_numbers(program, to, from, (port->at[i + 1] - port->at[i]) * entry);
+  }
+  return KG_OK;
+}
+
+/* -- sweeps ------------------------------------------------------------------------------------ */
+
+kg_status kg_program_backward(kg_program *program, int directions)
+{
+  const kg_status status =
+    begin_sweep(program, &program->seed, program->output, "backward", directions);
+  if (status != KG_OK) return status;
+  kg_sweep_backward(&program->graph, 1);
+  for (int i = 0; i < program->info.inputs; ++i) {
+    kg_sweep_seed(&program->graph, program->input[i]); /* zero where no seed led to */
+  }
+  return KG_OK;
+}
+
+/* Every value that is asked for has a place, those without derivative too. */
+static void *place(const kg_program *program, uint32_t id)
+{
+  const kg_graph *graph = &program->graph;
+  return (char *)graph->tensor.memory +
+         block_of(program, id)->adjoint * entry_bytes(program, graph->directions);
+}
+
+const void *kg_program_adjoint(const kg_program *program, int i)
+{
+  KG_ASSERT(i >= 0 && i < program->info.inputs);
+  return place(program, program->input[i]);
+}
+
+kg_status kg_program_forward(kg_program *program, int directions)
+{
+  const kg_status status =
+    begin_sweep(program, &program->tangent, program->input, "forward", directions);
+  if (status != KG_OK) return status;
+  kg_sweep_forward(&program->graph, 1);
+  for (int o = 0; o < program->info.outputs; ++o) {
+    const uint32_t id = program->output[o];
+    if (!kg_sweep_result(&program->graph, id)) {
+      memset(place(program, id), 0, block_of(program, id)->size * entry_bytes(program, directions));
+    }
+  }
+  return KG_OK;
+}
+
+const void *kg_program_output_tangent(const kg_program *program, int o)
+{
+  KG_ASSERT(o >= 0 && o < program->info.outputs);
+  return place(program, program->output[o]);
+}
