@@ -14,7 +14,7 @@ static bool is_double(const kg_tape *tape, kg_value value)
   return tape->precision == KG_DOUBLE || !(value.id & KG_TENSOR);
 }
 
-static void add_numbers(const kg_tape *tape, kg_value value, void *to, const double *from, size_t n)
+void kg_add_numbers(const kg_tape *tape, kg_value value, void *to, const double *from, size_t n)
 {
   for (size_t i = 0; i < n; ++i) {
     if (is_double(tape, value)) {
@@ -25,8 +25,7 @@ static void add_numbers(const kg_tape *tape, kg_value value, void *to, const dou
   }
 }
 
-static void copy_numbers(const kg_tape *tape, kg_value value, const void *from, double *to,
-                         size_t n)
+void kg_copy_numbers(const kg_tape *tape, kg_value value, const void *from, double *to, size_t n)
 {
   for (size_t i = 0; i < n; ++i) {
     to[i] = !from                    ? 0
@@ -37,7 +36,7 @@ static void copy_numbers(const kg_tape *tape, kg_value value, const void *from, 
 
 /* -- checks ------------------------------------------------------------------------------------ */
 
-static bool usable(kg_tape *tape, const char *call, int count, const kg_value *values)
+bool kg_values_usable(kg_tape *tape, const char *call, int count, const kg_value *values)
 {
   for (int i = 0; i < count && tape->error.status == KG_OK; ++i) {
     if (!values[i].id || kg_index(values[i].id) >= tape->graph.count) {
@@ -47,7 +46,7 @@ static bool usable(kg_tape *tape, const char *call, int count, const kg_value *v
   return tape->error.status == KG_OK;
 }
 
-static bool differentiable(kg_tape *tape, const char *call, int count, const kg_value *values)
+bool kg_values_differentiable(kg_tape *tape, const char *call, int count, const kg_value *values)
 {
   for (int i = 0; i < count && tape->error.status == KG_OK; ++i) {
     if (!kg_node_of(tape, values[i])->active) {
@@ -58,7 +57,7 @@ static bool differentiable(kg_tape *tape, const char *call, int count, const kg_
   return tape->error.status == KG_OK;
 }
 
-static kg_status begin(kg_tape *tape, const char *call, int directions)
+kg_status kg_begin_sweep(kg_tape *tape, const char *call, int directions)
 {
   if (kg_sweep_begin(&tape->graph, directions) != KG_OK) {
     kg_refuse(tape, KG_ERR_NO_MEMORY, call, "no memory for %d directions", directions);
@@ -84,13 +83,14 @@ static void seed_with_ones(kg_tape *tape, kg_value output)
   const double one = 1;
   const size_t number = is_double(tape, output) ? sizeof(double) : sizeof(float);
   for (size_t i = 0; seed && i < kg_size_of(tape, output); ++i) {
-    add_numbers(tape, output, (char *)seed + i * number, &one, 1);
+    kg_add_numbers(tape, output, (char *)seed + i * number, &one, 1);
   }
 }
 
 kg_status kg_backward(kg_tape *tape, kg_value output)
 {
-  if (!usable(tape, "backward", 1, &output) || begin(tape, "backward", 1) != KG_OK) {
+  if (!kg_values_usable(tape, "backward", 1, &output) ||
+      kg_begin_sweep(tape, "backward", 1) != KG_OK) {
     return tape->error.status;
   }
   seed_with_ones(tape, output);
@@ -100,7 +100,8 @@ kg_status kg_backward(kg_tape *tape, kg_value output)
 
 static const void *adjoint_of(kg_tape *tape, kg_value value, bool wants_double)
 {
-  if (!usable(tape, "adjoint", 1, &value) || !differentiable(tape, "adjoint", 1, &value))
+  if (!kg_values_usable(tape, "adjoint", 1, &value) ||
+      !kg_values_differentiable(tape, "adjoint", 1, &value))
     return NULL;
   if (is_double(tape, value) != wants_double || tape->graph.directions == 0 ||
       kg_index(value.id) >= tape->graph.swept) {
@@ -125,14 +126,14 @@ double kg_adjoint_item(kg_tape *tape, kg_value value)
 {
   const void *adjoint = adjoint_of(tape, value, is_double(tape, value));
   double item = NAN;
-  if (adjoint) copy_numbers(tape, value, adjoint, &item, 1);
+  if (adjoint) kg_copy_numbers(tape, value, adjoint, &item, 1);
   return item;
 }
 
 kg_status kg_gradient(kg_tape *tape, kg_value output, int count, const kg_value *inputs,
                       double *const *gradients)
 {
-  if (usable(tape, "gradient", 1, &output) && kg_size_of(tape, output) != 1) {
+  if (kg_values_usable(tape, "gradient", 1, &output) && kg_size_of(tape, output) != 1) {
     kg_refuse(tape, KG_ERR_SHAPE, "gradient", "of a value of shape %s; it must have one entry",
               kg_shape_print(kg_shape_of(tape, output)).text);
   }
@@ -146,20 +147,21 @@ kg_status kg_vjp(kg_tape *tape, int directions, int output_count, const kg_value
                  double *const *results)
 {
   KG_ASSERT(directions > 0);
-  if (!usable(tape, "vjp", output_count, outputs) || !usable(tape, "vjp", input_count, inputs) ||
-      !differentiable(tape, "vjp", input_count, inputs) ||
-      begin(tape, "vjp", directions) != KG_OK) {
+  if (!kg_values_usable(tape, "vjp", output_count, outputs) ||
+      !kg_values_usable(tape, "vjp", input_count, inputs) ||
+      !kg_values_differentiable(tape, "vjp", input_count, inputs) ||
+      kg_begin_sweep(tape, "vjp", directions) != KG_OK) {
     return tape->error.status;
   }
   for (int o = 0; o < output_count; ++o) {
     void *seed = kg_sweep_seed(&tape->graph, outputs[o].id);
     const size_t n = (size_t)directions * kg_size_of(tape, outputs[o]);
-    if (seed) add_numbers(tape, outputs[o], seed, seeds[o], n);
+    if (seed) kg_add_numbers(tape, outputs[o], seed, seeds[o], n);
   }
   kg_sweep_backward(&tape->graph, oldest(input_count, inputs) + 1);
   for (int i = 0; i < input_count; ++i) {
-    copy_numbers(tape, inputs[i], kg_sweep_result(&tape->graph, inputs[i].id), results[i],
-                 (size_t)directions * kg_size_of(tape, inputs[i]));
+    kg_copy_numbers(tape, inputs[i], kg_sweep_result(&tape->graph, inputs[i].id), results[i],
+                    (size_t)directions * kg_size_of(tape, inputs[i]));
   }
   return tape->error.status;
 }
@@ -171,19 +173,20 @@ kg_status kg_jvp(kg_tape *tape, int directions, int input_count, const kg_value 
                  double *const *results)
 {
   KG_ASSERT(directions > 0);
-  if (!usable(tape, "jvp", output_count, outputs) || !usable(tape, "jvp", input_count, inputs) ||
-      !differentiable(tape, "jvp", input_count, inputs) ||
-      begin(tape, "jvp", directions) != KG_OK) {
+  if (!kg_values_usable(tape, "jvp", output_count, outputs) ||
+      !kg_values_usable(tape, "jvp", input_count, inputs) ||
+      !kg_values_differentiable(tape, "jvp", input_count, inputs) ||
+      kg_begin_sweep(tape, "jvp", directions) != KG_OK) {
     return tape->error.status;
   }
   for (int i = 0; i < input_count; ++i) {
     const size_t n = (size_t)directions * kg_size_of(tape, inputs[i]);
-    add_numbers(tape, inputs[i], kg_sweep_seed(&tape->graph, inputs[i].id), tangents[i], n);
+    kg_add_numbers(tape, inputs[i], kg_sweep_seed(&tape->graph, inputs[i].id), tangents[i], n);
   }
   kg_sweep_forward(&tape->graph, oldest(input_count, inputs));
   for (int o = 0; o < output_count; ++o) {
-    copy_numbers(tape, outputs[o], kg_sweep_result(&tape->graph, outputs[o].id), results[o],
-                 (size_t)directions * kg_size_of(tape, outputs[o]));
+    kg_copy_numbers(tape, outputs[o], kg_sweep_result(&tape->graph, outputs[o].id), results[o],
+                    (size_t)directions * kg_size_of(tape, outputs[o]));
   }
   return tape->error.status;
 }

@@ -29,6 +29,7 @@ typedef struct freezer {
   trait *trait;    /* (nodes on the tape) */
   uint32_t *table; /* (slots) first nodes of their kind, by hash */
   size_t slots;    /* a power of two */
+  bool guarded;    /* comparisons that were asked are kept */
 } freezer;
 
 /* -- nodes of the tape, scalars and blocks alike ----------------------------------------------- */
@@ -97,7 +98,9 @@ static void find_needed(freezer *f)
 {
   for (uint32_t i = f->tape->graph.count - 1; i > 0; --i) {
     trait *t = &f->trait[i];
-    if (t->varying && tape_node(f, i)->op == kg_op_is_less) t->needed = t->held = true;
+    if (f->guarded && t->varying && tape_node(f, i)->op == kg_op_is_less) {
+      t->needed = t->held = true;
+    }
     if (!t->needed || t->is_input) continue;
     view v;
     const kg_block *block = view_node(f, i, &v);
@@ -244,7 +247,7 @@ static kg_block *copy_block(freezer *f, kg_op op, const kg_block *from, uint32_t
   *block = *from;
   if (from->attribute_bytes) memcpy(attributes, from->attributes, from->attribute_bytes);
   block->attributes = attributes;
-  if (op != kg_op_primitive) block->kernel = &p->graph.kernels[op];
+  if (from->kernel == &f->tape->graph.kernels[op]) block->kernel = &p->graph.kernels[op];
   block->data = block->saved = NULL;
   block->stamp = 0;
   return block;
@@ -527,20 +530,18 @@ static kg_program *new_program(const kg_program_def *def, const kg_tape *tape)
   return p;
 }
 
-kg_status kg_program_create(const kg_program_def *def, const kg_tape *tape, int input_count,
-                            const kg_value *inputs, int output_count, const kg_value *outputs,
-                            kg_program **program, kg_error *error)
+kg_status kg_freeze(const kg_program_def *def, bool guarded, const kg_tape *tape, int input_count,
+                    const kg_value *inputs, int output_count, const kg_value *outputs,
+                    kg_program **program, kg_error *error)
 {
-  const kg_program_def settings = def ? *def : kg_program_default_def();
-  KG_ASSERT(settings.lanes >= 1);
   *program = NULL;
   kg_status status = check_values(tape, input_count, inputs, output_count, outputs, error);
   if (status != KG_OK) return status;
-  freezer f = {.tape = tape, .program = new_program(&settings, tape)};
+  freezer f = {.tape = tape, .program = new_program(def, tape), .guarded = guarded};
   if (!f.program) return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a program");
   f.program->info.inputs = input_count;
   f.program->info.outputs = output_count;
-  kg_arena_init(&f.scratch, settings.allocator);
+  kg_arena_init(&f.scratch, def->allocator);
   status = freeze(&f, input_count, inputs, output_count, outputs);
   kg_arena_release(&f.scratch);
   if (status != KG_OK) {
@@ -550,4 +551,14 @@ kg_status kg_program_create(const kg_program_def *def, const kg_tape *tape, int 
   }
   *program = f.program;
   return KG_OK;
+}
+
+kg_status kg_program_create(const kg_program_def *def, const kg_tape *tape, int input_count,
+                            const kg_value *inputs, int output_count, const kg_value *outputs,
+                            kg_program **program, kg_error *error)
+{
+  const kg_program_def settings = def ? *def : kg_program_default_def();
+  KG_ASSERT(settings.lanes >= 1);
+  return kg_freeze(&settings, true, tape, input_count, inputs, output_count, outputs, program,
+                   error);
 }

@@ -30,6 +30,11 @@ struct kg_program {
   kg_error error;
 };
 
+/* kg_program_create; unguarded: comparisons that were asked (kg_is_less) are not asked again */
+kg_status kg_freeze(const kg_program_def *def, bool guarded, const kg_tape *tape, int input_count,
+                    const kg_value *inputs, int output_count, const kg_value *outputs,
+                    kg_program **program, kg_error *error);
+
 static inline void kg_put_number(kg_arithmetic arithmetic, void *numbers, size_t at, double x)
 {
   switch (arithmetic) {

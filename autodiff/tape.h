@@ -67,6 +67,17 @@ kg_axis_split kg_split(kg_shape shape, int axis);
 kg_shape kg_without_axis(kg_shape shape, int axis);
 bool kg_same_shape(kg_shape a, kg_shape b);
 
+/* -- calls on a record (derivatives.c) --------------------------------------------------------- */
+
+/* Otherwise the tape's error, by the call's name. */
+bool kg_values_usable(kg_tape *tape, const char *call, int count, const kg_value *values);
+bool kg_values_differentiable(kg_tape *tape, const char *call, int count, const kg_value *values);
+kg_status kg_begin_sweep(kg_tape *tape, const char *call, int directions);
+
+/* Between doubles and the n numbers of a value's adjoint or tangent; from NULL: zeros. */
+void kg_add_numbers(const kg_tape *tape, kg_value value, void *to, const double *from, size_t n);
+void kg_copy_numbers(const kg_tape *tape, kg_value value, const void *from, double *to, size_t n);
+
 const char *kg_tag_at(const kg_tape *tape, uint32_t node);
 
 static inline bool kg_is_scalar_node(kg_value value)
