@@ -113,7 +113,10 @@ static void check_against_recording(int lanes, int simd)
         adjoint[e] = both[(size + at) * n + lane];
       }
       assert_memory_equal(value, replayed, sizeof value);
-      assert_memory_equal(gradient, adjoint, sizeof gradient);
+      if (lanes == 1) assert_memory_equal(gradient, adjoint, sizeof gradient);
+      for (size_t e = 0; e < 8; ++e) { /* lanes may take a sum in another order */
+        assert_close(gradient[e], adjoint[e], 1e-14);
+      }
     }
   }
   kg_program_destroy(p);
@@ -206,8 +209,8 @@ static void test_odd_ends(void **state)
   const kg_value y = kg_mul(t, x, fixed);
   const kg_value in[2] = {x, unread}, out[5] = {y, x, fixed, y, kg_neg(t, kg_neg(t, y))};
   kg_program *p;
-  assert_int_equal(
-    kg_program_create(&(kg_program_def){.lanes = LANES}, t, 2, in, 5, out, &p, NULL), KG_OK);
+  assert_int_equal(kg_program_create(&(kg_program_def){.lanes = LANES}, t, 2, in, 5, out, &p, NULL),
+                   KG_OK);
   kg_tape_destroy(t);
   for (int lane = 0; lane < LANES; ++lane) {
     ((double *)kg_program_input(p, 0))[lane] = lane + 1;
@@ -351,30 +354,30 @@ static void test_complex_arithmetic(void **state)
   kg_tape *t;
   assert_int_equal(kg_tape_create(NULL, &t, NULL), KG_OK);
   const formula f = record(t, x[0], x[1], x + 2);
-  kg_program *real = freeze(NULL, t, &f);
-  kg_program *complex = freeze(&(kg_program_def){.lanes = 1, .arithmetic_complex = true}, t, &f);
+  kg_program *plain = freeze(NULL, t, &f);
+  kg_program *analytic = freeze(&(kg_program_def){.lanes = 1, .arithmetic_complex = true}, t, &f);
   kg_random random = kg_random_make(4);
   for (int i = 0; i < 3; ++i) {
-    double _Complex *z = kg_program_input(complex, i);
-    double *d = kg_program_tangent(real, i, 1);
-    for (size_t e = 0; e < kg_program_input_size(real, i); ++e) {
+    double _Complex *z = kg_program_input(analytic, i);
+    double *d = kg_program_tangent(plain, i, 1);
+    for (size_t e = 0; e < kg_program_input_size(plain, i); ++e) {
       d[e] = kg_random_normal(&random);
       z[e] += CMPLX(0, h * d[e]);
     }
   }
-  assert_int_equal(kg_program_run(real), KG_OK);
-  assert_int_equal(kg_program_run(complex), KG_OK);
-  assert_int_equal(kg_program_forward(real, 1), KG_OK);
+  assert_int_equal(kg_program_run(plain), KG_OK);
+  assert_int_equal(kg_program_run(analytic), KG_OK);
+  assert_int_equal(kg_program_forward(plain, 1), KG_OK);
   for (int o = 0; o < 2; ++o) {
-    const double _Complex *z = kg_program_output(complex, o);
-    const double *y = kg_program_output(real, o), *tangent = kg_program_output_tangent(real, o);
-    for (size_t e = 0; e < kg_program_output_size(real, o); ++e) {
+    const double _Complex *z = kg_program_output(analytic, o);
+    const double *y = kg_program_output(plain, o), *tangent = kg_program_output_tangent(plain, o);
+    for (size_t e = 0; e < kg_program_output_size(plain, o); ++e) {
       assert_close(creal(z[e]), y[e], 1e-15);
       assert_close(cimag(z[e]) / h, tangent[e], 1e-14);
     }
   }
-  kg_program_destroy(real);
-  kg_program_destroy(complex);
+  kg_program_destroy(plain);
+  kg_program_destroy(analytic);
   kg_tape_destroy(t);
 }
 
