@@ -21,4 +21,22 @@ typedef struct kg_product {
   int64_t transposed_a, transposed_b;
 } kg_product;
 
+/* Sparse matrix (rows, columns) applied to x (outer, columns, features). Behind the weights lie
+ * start (rows + 1) and column (entries), of 32 bits. */
+typedef struct kg_aggregation {
+  size_t outer, rows, columns, features, entries;
+  double weight[];
+} kg_aggregation;
+
+static inline const int32_t *kg_aggregation_start(const kg_aggregation *a)
+{
+  return (const int32_t *)(a->weight + a->entries);
+}
+
+/* x (batch, time, in), weight (taps, in, out); tap k sees frame t + (k - before) dilation. */
+typedef struct kg_convolution {
+  size_t batch, in, out;
+  int64_t time, taps, before, dilation;
+} kg_convolution;
+
 #endif
