@@ -14,6 +14,16 @@ typedef struct kg_elementwise {
   double p, q; /* constants of the rule */
 } kg_elementwise;
 
+/* is_less: what the comparison said when it was recorded. */
+typedef struct kg_guard {
+  int64_t answer;
+} kg_guard;
+
+/* Operators along an axis: sizes of what lies before, along and after it. */
+typedef struct kg_axis_split {
+  size_t outer, length, inner;
+} kg_axis_split;
+
 /* Products of matrices: (m, k) (k, n), batch times. */
 typedef struct kg_product {
   size_t batch, m, n, k;

@@ -2,7 +2,7 @@
 #ifndef AUTODIFF_TAPE_H
 #define AUTODIFF_TAPE_H
 
-#include "autodiff/graph.h"
+#include "autodiff/attributes.h"
 #include "kinegrad/operators.h"
 
 typedef struct kg_tag_range {
@@ -59,10 +59,7 @@ bool kg_operands_given(kg_tape *tape, int count, const kg_value *values);
 /* axis counted from the front, -1 when out of range (the tape's error is set) */
 int kg_axis_of(kg_tape *tape, const char *operator_name, kg_shape shape, int axis);
 
-/* the same shape without the axis; sizes of what lies before, along and after it */
-typedef struct kg_axis_split {
-  size_t outer, length, inner;
-} kg_axis_split;
+/* sizes of what lies before, along and after the axis; the shape without it */
 kg_axis_split kg_split(kg_shape shape, int axis);
 kg_shape kg_without_axis(kg_shape shape, int axis);
 bool kg_same_shape(kg_shape a, kg_shape b);
