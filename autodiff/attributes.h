@@ -49,4 +49,28 @@ typedef struct kg_convolution {
   int64_t time, taps, before, dilation;
 } kg_convolution;
 
+/* Moves. Sizes count entries; the axis concerned lies between `outer` and `inner`. */
+
+/* slice: of each row of `row` entries, `width` from `start` */
+typedef struct kg_window {
+  size_t outer, row, start, width;
+} kg_window;
+
+/* concat: operand k fills entries start[k] .. start[k + 1] of each row of `row` */
+typedef struct kg_join {
+  size_t outer, row;
+  size_t start[]; /* (operands + 1) */
+} kg_join;
+
+/* transpose: (outer, rows, between, columns, inner) -> (outer, columns, between, rows, inner) */
+typedef struct kg_exchange {
+  size_t outer, rows, between, columns, inner;
+} kg_exchange;
+
+/* gather: (outer, extent, inner) -> (outer, count, inner); scatter: the other way */
+typedef struct kg_pick {
+  size_t outer, extent, count, inner;
+  int32_t index[]; /* (count), -1: none */
+} kg_pick;
+
 #endif

@@ -70,8 +70,8 @@ static bool continues(const kg_elementwise *e, int count, const size_t *stride, 
   return true;
 }
 
-/* the walk over the result, its axes merged where the operands allow */
-static kg_elementwise plan(int count, const kg_shape *shapes, kg_shape result)
+/* axes are merged where the operands allow */
+kg_elementwise kg_plan_elementwise(int count, const kg_shape *shapes, kg_shape result)
 {
   kg_elementwise e = {0};
   for (int i = 0; i < result.rank; ++i) {
@@ -129,7 +129,7 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
                      kg_shape_print(shapes[0]).text, kg_shape_print(shapes[1]).text,
                      count > 2 ? ", " : "", count > 2 ? kg_shape_print(shapes[2]).text : "");
   }
-  kg_elementwise e = equal ? single_run(result) : plan(count, shapes, result);
+  kg_elementwise e = equal ? single_run(result) : kg_plan_elementwise(count, shapes, result);
   e.p = p;
   e.q = q;
   return kg_record(tape, &(kg_recipe){.op = op,

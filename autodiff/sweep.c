@@ -112,9 +112,14 @@ static void backward_block(kg_graph *graph, const kg_block *block)
   }
 }
 
-/* an entry of a tensor became a scalar */
+/* an entry of a tensor became a scalar; the tensor is not touched for nothing */
 static void backward_element(kg_graph *graph, const kg_node *node, const double *adjoint)
 {
+  bool any = false;
+  for (int s = 0; s < graph->directions; ++s) {
+    any = any || adjoint[s] != 0;
+  }
+  if (!any) return;
   double *tensor = kg_sweep_seed(graph, node->input[0]);
   const size_t size = graph->node[kg_index(node->input[0])].is.block->size;
   for (size_t s = 0; tensor && s < (size_t)graph->directions; ++s) {

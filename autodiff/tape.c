@@ -174,6 +174,25 @@ bool kg_same_shape(kg_shape a, kg_shape b)
   return a.rank == b.rank;
 }
 
+static bool is_valid(kg_shape shape)
+{
+  if (shape.rank < 0 || shape.rank > KG_MAX_RANK) return false;
+  size_t size = 1;
+  for (int i = 0; i < shape.rank; ++i) {
+    if (shape.dim[i] < 1 || size > SIZE_MAX / 64 / (size_t)shape.dim[i]) return false;
+    size *= (size_t)shape.dim[i];
+  }
+  return true;
+}
+
+bool kg_check_shape(kg_tape *tape, kg_op op, kg_shape shape)
+{
+  if (is_valid(shape)) return true;
+  kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shape %s of rank %d: ranks 0 to %d, extents from 1",
+            kg_shape_print(shape).text, (int)shape.rank, KG_MAX_RANK);
+  return false;
+}
+
 int kg_axis_of(kg_tape *tape, const char *operator_name, kg_shape shape, int axis)
 {
   const int from_front = axis < 0 ? axis + shape.rank : axis;
@@ -230,7 +249,7 @@ static kg_block *new_block(kg_tape *tape, const kg_recipe *recipe)
 {
   const size_t head = round_up(sizeof(kg_block), 8);
   const size_t operands = round_up((size_t)recipe->count * sizeof(uint32_t), 8);
-  const size_t attributes = round_up(recipe->attribute_bytes, 8);
+  const size_t attributes = recipe->attributes_taken ? 0 : round_up(recipe->attribute_bytes, 8);
   const size_t size = kg_shape_size(&recipe->shape), number = tape->graph.number;
   const size_t align = size * number >= 64 ? 64 : 16;
   char *memory = kg_arena_take(&tape->arena, head + operands + attributes, 16);
@@ -242,15 +261,13 @@ static kg_block *new_block(kg_tape *tape, const kg_recipe *recipe)
                       .shape = recipe->shape,
                       .count = recipe->count,
                       .input = (uint32_t *)(memory + head),
-                      .attributes = memory + head + operands,
+                      .attributes = attributes ? memory + head + operands : recipe->attributes,
                       .attribute_bytes = recipe->attribute_bytes,
                       .size = size,
                       .saved_size = recipe->saved,
                       .data = data,
                       .saved = saved};
-  if (recipe->attribute_bytes) {
-    memcpy(memory + head + operands, recipe->attributes, recipe->attribute_bytes);
-  }
+  if (attributes) memcpy(memory + head + operands, recipe->attributes, recipe->attribute_bytes);
   return block;
 }
 
@@ -291,6 +308,18 @@ static kg_node *push_block(kg_tape *tape, const kg_recipe *recipe)
   return node;
 }
 
+void *kg_take_attributes(kg_tape *tape, kg_op op, size_t bytes)
+{
+  if (tape->error.status != KG_OK) return NULL;
+  const kg_arena_mark mark = kg_arena_mark_of(&tape->arena);
+  void *memory = kg_arena_take(&tape->arena, bytes, 16);
+  if (!memory) {
+    kg_arena_rewind(&tape->arena, mark);
+    kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory for its %zu bytes of indices", bytes);
+  }
+  return memory;
+}
+
 kg_value kg_record(kg_tape *tape, const kg_recipe *recipe)
 {
   if (tape->error.status != KG_OK) return (kg_value){0};
@@ -306,27 +335,11 @@ kg_value kg_record(kg_tape *tape, const kg_recipe *recipe)
 
 /* -- inputs ------------------------------------------------------------------------------------ */
 
-static bool shape_is_valid(kg_shape shape)
-{
-  if (shape.rank < 0 || shape.rank > KG_MAX_RANK) return false;
-  size_t size = 1;
-  for (int i = 0; i < shape.rank; ++i) {
-    if (shape.dim[i] < 1 || size > SIZE_MAX / 64 / (size_t)shape.dim[i]) return false;
-    size *= (size_t)shape.dim[i];
-  }
-  return true;
-}
-
 static kg_block *leaf(kg_tape *tape, kg_op op, kg_shape shape, kg_value *value)
 {
   *value = (kg_value){0};
   if (tape->error.status != KG_OK) return NULL;
-  if (!shape_is_valid(shape)) {
-    kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op),
-              "shape %s of rank %d: ranks 0 to %d, extents from 1", kg_shape_print(shape).text,
-              (int)shape.rank, KG_MAX_RANK);
-    return NULL;
-  }
+  if (!kg_check_shape(tape, op, shape)) return NULL;
   kg_node *node = push_block(tape, &(kg_recipe){.op = op, .shape = shape});
   if (!node) return NULL;
   node->active = op == kg_op_input;

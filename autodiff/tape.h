@@ -29,6 +29,7 @@ typedef struct kg_recipe {
   kg_shape shape;
   const void *attributes; /* copied; zero padding: equal bytes must mean equal operators */
   size_t attribute_bytes;
+  bool attributes_taken;   /* attributes come from kg_take_attributes: not copied */
   size_t saved;            /* entries to keep between the sweeps */
   bool constant;           /* without derivative whatever the operands are */
   const kg_kernel *kernel; /* NULL: that of op */
@@ -38,9 +39,16 @@ typedef struct kg_recipe {
 /* Records a block and evaluates it; the null value on failure, with the tape's error set. */
 kg_value kg_record(kg_tape *tape, const kg_recipe *recipe);
 
+/* Room in the tape for attributes of any length, as part of the next recipe; NULL, with the tape's error
+ * set, when the tape has failed or memory is refused. */
+void *kg_take_attributes(kg_tape *tape, kg_op op, size_t bytes);
+
 /* An element-wise operator of up to three operands, broadcast (elementwise.c). */
 kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_value *operands,
                                double p, double q, bool constant);
+
+/* The walk over a result of this shape, to which the operands' shapes broadcast (elementwise.c). */
+struct kg_elementwise kg_plan_elementwise(int count, const kg_shape *shapes, kg_shape result);
 
 /* Sets the tape's error unless one is set ("operator: ..." with the tag), and returns the null
  * value. */
@@ -63,6 +71,10 @@ int kg_axis_of(kg_tape *tape, const char *operator_name, kg_shape shape, int axi
 kg_axis_split kg_split(kg_shape shape, int axis);
 kg_shape kg_without_axis(kg_shape shape, int axis);
 bool kg_same_shape(kg_shape a, kg_shape b);
+
+/* false, with the tape's error set, unless rank and extents are within bounds and the size can be
+ * counted */
+bool kg_check_shape(kg_tape *tape, kg_op op, kg_shape shape);
 
 /* -- calls on a record (derivatives.c) --------------------------------------------------------- */
 
