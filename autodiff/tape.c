@@ -188,8 +188,9 @@ static bool is_valid(kg_shape shape)
 bool kg_check_shape(kg_tape *tape, kg_op op, kg_shape shape)
 {
   if (is_valid(shape)) return true;
-  kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shape %s of rank %d: ranks 0 to %d, extents from 1",
-            kg_shape_print(shape).text, (int)shape.rank, KG_MAX_RANK);
+  kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op),
+            "shape %s of rank %d: ranks 0 to %d, extents from 1", kg_shape_print(shape).text,
+            (int)shape.rank, KG_MAX_RANK);
   return false;
 }
 
@@ -315,7 +316,8 @@ void *kg_take_attributes(kg_tape *tape, kg_op op, size_t bytes)
   void *memory = kg_arena_take(&tape->arena, bytes, 16);
   if (!memory) {
     kg_arena_rewind(&tape->arena, mark);
-    kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory for its %zu bytes of indices", bytes);
+    kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory for its %zu bytes of indices",
+              bytes);
   }
   return memory;
 }

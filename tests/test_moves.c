@@ -76,8 +76,9 @@ static void reshape_keeps_order_and_shares_numbers(void **state)
   for (int i = 0; i < 1000; ++i) { /* the scalar's node moves when the tape grows */
     kg_scalar(tape, 0);
   }
-  assert_float_equal(kg_item(tape, v), 5, 0);
-  check_operator(tape, 1, &s, v, &(kg_random){0}, 1e-14);
+  assert_close(kg_item(tape, v), 5, 0);
+  kg_random random = kg_random_make(6);
+  check_operator(tape, 1, &s, v, &random, 1e-14);
   kg_tape_destroy(tape);
 }
 
@@ -103,7 +104,7 @@ static void broadcast_repeats(void **state)
       for (int i = 0; i < from.rank; ++i) {
         own[i] = from.dim[i] == 1 ? 0 : at[i + to.rank - from.rank];
       }
-      assert_float_equal(kg_item_at(tape, y, e), entry(tape, a, own), 0);
+      assert_close(kg_item_at(tape, y, e), entry(tape, a, own), 0);
     }
     check(tape, a, y);
   }
@@ -130,7 +131,7 @@ static void transpose_exchanges_any_two_axes(void **state)
           const int swapped = at[i];
           at[i] = at[j];
           at[j] = swapped;
-          assert_float_equal(kg_item_at(tape, y, e), entry(tape, a, at), 0);
+          assert_close(kg_item_at(tape, y, e), entry(tape, a, at), 0);
         }
         check(tape, a, y);
       }
@@ -156,7 +157,7 @@ static void slice_takes_a_window(void **state)
       int at[KG_MAX_RANK];
       indices(shape, e, at);
       at[axis] += windows[c].start;
-      assert_float_equal(kg_item_at(tape, y, e), entry(tape, a, at), 0);
+      assert_close(kg_item_at(tape, y, e), entry(tape, a, at), 0);
     }
     check(tape, a, y);
   }
@@ -185,7 +186,7 @@ static void concat_joins_along_any_axis(void **state)
       for (; k < 3 && at[axis] >= lengths[k]; ++k) {
         at[axis] -= lengths[k];
       }
-      assert_float_equal(kg_item_at(tape, y, e), entry(tape, parts[k], at), 0);
+      assert_close(kg_item_at(tape, y, e), entry(tape, parts[k], at), 0);
     }
     kg_random random = kg_random_make(8);
     check_operator(tape, 3, parts, y, &random, 1e-14);
@@ -211,7 +212,7 @@ static void scalars_become_a_vector_and_back(void **state)
     for (int i = 0; i < 40; ++i) {
       back[i] = kg_element(tape, v, (size_t)(39 - i));
       assert_shape(tape, back[i], KG_SCALAR_SHAPE);
-      assert_float_equal(kg_item(tape, back[i]), 39 - i + 0.5, 0);
+      assert_close(kg_item(tape, back[i]), 39 - i + 0.5, 0);
       assert_int_equal(kg_is_scalar_node(back[i]), precision == KG_DOUBLE);
     }
     assert_int_equal(kg_element(tape, back[3], 0).id == back[3].id, precision == KG_DOUBLE);
@@ -219,7 +220,7 @@ static void scalars_become_a_vector_and_back(void **state)
     assert_int_equal(kg_backward(tape, y), KG_OK);
     assert_close(kg_adjoint_item(tape, x[36]), 2 * 36.5 * 34.5, 1e-14);
     assert_close(kg_adjoint_item(tape, x[34]), 36.5 * 36.5, 1e-14);
-    assert_float_equal(kg_adjoint_item(tape, x[7]), 0, 0);
+    assert_close(kg_adjoint_item(tape, x[7]), 0, 0);
     if (precision == KG_DOUBLE) {
       kg_random random = kg_random_make(9);
       check_operator(tape, 4, (kg_value[]){x[7], x[8], x[34], x[36]}, y, &random, 1e-13);
@@ -262,7 +263,7 @@ static void gather_and_scatter_follow_their_indices(void **state)
       int at[KG_MAX_RANK];
       indices(shape, e, at);
       at[axis] = index[at[axis]];
-      assert_float_equal(kg_item_at(tape, y, e), at[axis] < 0 ? 0 : entry(tape, a, at), 0);
+      assert_close(kg_item_at(tape, y, e), at[axis] < 0 ? 0 : entry(tape, a, at), 0);
     }
     check(tape, a, y);
 
@@ -279,7 +280,7 @@ static void gather_and_scatter_follow_their_indices(void **state)
       for (at[axis] = 0; at[axis] < COUNT; ++at[axis]) {
         sum += index[at[axis]] == target ? entry(tape, a, at) : 0;
       }
-      assert_float_equal(kg_item_at(tape, y, e), sum, 0);
+      assert_close(kg_item_at(tape, y, e), sum, 0);
     }
     check(tape, a, y);
   }
@@ -294,8 +295,8 @@ static void indices_are_copied(void **state)
   const kg_value a = counting(tape, KG_SHAPE(2), 1), y = kg_gather(tape, a, 0, 3, index);
   index[0] = index[1] = index[2] = 1000000;
   assert_int_equal(kg_backward(tape, y), KG_OK);
-  assert_float_equal(kg_adjoint(tape, a)[0], 1, 0);
-  assert_float_equal(kg_adjoint(tape, a)[1], 2, 0);
+  assert_close(kg_adjoint(tape, a)[0], 1, 0);
+  assert_close(kg_adjoint(tape, a)[1], 2, 0);
   kg_tape_destroy(tape);
 }
 
