@@ -31,6 +31,13 @@ typedef struct kg_product {
   int64_t transposed_a, transposed_b;
 } kg_product;
 
+/* op(A) X = B: A (batch, n, n), B (batch, n, m). Saved: of every A its factors (n, n) and n row
+ * exchanges, a right-hand side of one lane, one of all lanes. */
+typedef struct kg_system {
+  size_t batch, n, m;
+  int32_t transposed, triangular, upper, unit;
+} kg_system;
+
 /* Sparse matrix (rows, columns) applied to x (outer, columns, features). Behind the weights lie
  * start (rows + 1) and column (entries), of 32 bits. */
 typedef struct kg_aggregation {

@@ -96,3 +96,43 @@ kg_value kg_affine(kg_tape *tape, kg_value x, kg_value weight, kg_value bias)
   shape.dim[last] = sw.dim[1];
   return record_product(tape, kg_op_affine, count, operands, shape, &p);
 }
+
+/* -- solves ------------------------------------------------------------------------------------ */
+
+static kg_value record_solve(kg_tape *tape, kg_op op, kg_value a, kg_value b, kg_system system)
+{
+  const kg_value operands[2] = {a, b};
+  if (!kg_operands_given(tape, 2, operands)) return (kg_value){0};
+  const kg_shape sa = kg_shape_of(tape, a), sb = kg_shape_of(tape, b);
+  if (sa.rank < 2 || sb.rank < 2) return refuse_shapes(tape, op, sa, sb, ": two axes at least");
+  if (sa.dim[sa.rank - 2] != sa.dim[sa.rank - 1] || sa.dim[sa.rank - 1] != sb.dim[sb.rank - 2] ||
+      !leading_equal(sa, sb)) {
+    return refuse_shapes(tape, op, sa, sb, "");
+  }
+  system.batch = leading_size(sa);
+  system.n = (size_t)sa.dim[sa.rank - 1];
+  system.m = (size_t)sb.dim[sb.rank - 1];
+  return kg_record(tape, &(kg_recipe){.op = op,
+                                      .count = 2,
+                                      .operands = operands,
+                                      .shape = sb,
+                                      .attributes = &system,
+                                      .attribute_bytes = sizeof system,
+                                      .saved = system.batch * system.n * (system.n + 1) +
+                                               2 * system.n * system.m});
+}
+
+kg_value kg_solve(kg_tape *tape, kg_value a, kg_value b, int flags)
+{
+  const kg_system system = {.transposed = (flags & KG_TRANSPOSE_A) != 0};
+  return record_solve(tape, kg_op_solve, a, b, system);
+}
+
+kg_value kg_solve_triangular(kg_tape *tape, kg_value a, kg_value b, int flags)
+{
+  const kg_system system = {.transposed = (flags & KG_TRANSPOSE_A) != 0,
+                            .triangular = true,
+                            .upper = (flags & KG_UPPER) != 0,
+                            .unit = (flags & KG_UNIT) != 0};
+  return record_solve(tape, kg_op_solve_triangular, a, b, system);
+}

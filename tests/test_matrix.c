@@ -140,6 +140,146 @@ static void constants_receive_no_adjoint(void **state)
   }
 }
 
+static const struct solve_case {
+  kg_shape a, b;
+  int flags;
+  bool triangular;
+} solves[] = {{{2, {1, 1}}, {2, {1, 1}}, 0, false},
+              {{2, {4, 4}}, {2, {4, 1}}, 0, false},
+              {{2, {4, 4}}, {2, {4, 3}}, KG_TRANSPOSE_A, false},
+              {{3, {3, 5, 5}}, {3, {3, 5, 2}}, 0, false},
+              {{4, {2, 2, 3, 3}}, {4, {2, 2, 3, 4}}, KG_TRANSPOSE_A, false},
+              {{2, {1, 1}}, {2, {1, 2}}, KG_UNIT, true},
+              {{2, {4, 4}}, {2, {4, 3}}, 0, true},
+              {{2, {4, 4}}, {2, {4, 3}}, KG_UPPER, true},
+              {{2, {4, 4}}, {2, {4, 3}}, KG_TRANSPOSE_A, true},
+              {{2, {4, 4}}, {2, {4, 3}}, KG_TRANSPOSE_A | KG_UPPER, true},
+              {{3, {2, 5, 5}}, {3, {2, 5, 2}}, KG_UNIT, true},
+              {{3, {2, 5, 5}}, {3, {2, 5, 2}}, KG_UNIT | KG_UPPER, true},
+              {{2, {5, 5}}, {2, {5, 1}}, KG_UNIT | KG_UPPER | KG_TRANSPOSE_A, true}};
+
+/* random matrices whose first row, without an exchange, would be a bad pivot; as triangles their
+ * diagonal is far from zero and what must not be read is NaN */
+static kg_value random_matrices(kg_tape *tape, const struct solve_case *c, kg_random *random)
+{
+  const size_t size = kg_shape_size(&c->a), n = (size_t)c->a.dim[c->a.rank - 1];
+  double *x = random_numbers(random, size);
+  for (size_t e = 0; e < size; ++e) {
+    const size_t i = e / n % n, j = e % n;
+    if (!c->triangular) {
+      x[e] = i == 0 && j == 0 && n > 1 ? 1e-9 : x[e] + ((i + 1) % n == j ? 4 : 0);
+    } else if (i == j) {
+      x[e] = c->flags & KG_UNIT ? NAN : 2 + fabs(x[e]);
+    } else if ((j > i) != ((c->flags & KG_UPPER) != 0)) {
+      x[e] = NAN;
+    }
+  }
+  const kg_value a = kg_input(tape, c->a, x);
+  free(x);
+  return a;
+}
+
+/* entry (i, j) of the matrix that is meant */
+static double meant(const kg_tape *tape, const struct solve_case *c, kg_value a, size_t batch,
+                    size_t i, size_t j)
+{
+  const bool transposed = c->flags & KG_TRANSPOSE_A;
+  const size_t row = transposed ? j : i, column = transposed ? i : j;
+  if (c->triangular && row == column && c->flags & KG_UNIT) return 1;
+  if (c->triangular && row != column && (column > row) != ((c->flags & KG_UPPER) != 0)) return 0;
+  return at(tape, a, batch, row, column, false);
+}
+
+static void solutions_satisfy_their_equations(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(4);
+  for (size_t k = 0; k < KG_COUNT_OF(solves) * 2; ++k) {
+    const struct solve_case *c = &solves[k / 2];
+    const double tolerance = k % 2 ? 2e-5 : 1e-13;
+    kg_tape *tape = new_tape(k % 2 ? KG_FLOAT : KG_DOUBLE);
+    const kg_value v[2] = {random_matrices(tape, c, &random), random_input(tape, c->b, &random)};
+    const kg_value x = c->triangular ? kg_solve_triangular(tape, v[0], v[1], c->flags)
+                                     : kg_solve(tape, v[0], v[1], c->flags);
+    assert_false(kg_is_null(x));
+    const size_t n = extent(tape, x, 2), m = extent(tape, x, 1);
+    for (size_t e = 0; e < kg_size_of(tape, x); ++e) {
+      double sum = 0;
+      for (size_t j = 0; j < n; ++j) {
+        sum += meant(tape, c, v[0], e / (n * m), e / m % n, j) *
+               at(tape, x, e / (n * m), j, e % m, false);
+      }
+      assert_close(sum, kg_item_at(tape, v[1], e), tolerance);
+    }
+    if (k % 2 == 0) {
+      check_operator(tape, 2, v, x, &random, 1e-12);
+      check_lanes(tape, x, &random);
+    }
+    kg_tape_destroy(tape);
+  }
+}
+
+static void matrices_without_inverse_have_no_solution(void **state)
+{
+  (void)state;
+  static const struct {
+    double a[4];
+    int flags; /* negative: a full matrix */
+    kg_status status;
+  } cases[] = {{{1, 2, 2, 4}, -1, KG_ERR_UNDEFINED},
+               {{0, 0, 0, 0}, -1, KG_ERR_UNDEFINED},
+               {{0, 1, 1, 0}, -1, KG_OK},
+               {{NAN, 1, 1, 0}, -1, KG_ERR_UNDEFINED},
+               {{INFINITY, 1, 1, 2}, -1, KG_ERR_UNDEFINED},
+               {{1, 0, 3, 0}, 0, KG_ERR_UNDEFINED},
+               {{INFINITY, 0, 3, 1}, 0, KG_ERR_UNDEFINED},
+               {{1, 0, 3, 0}, KG_UNIT, KG_OK},
+               {{0, NAN, 3, NAN}, KG_UNIT, KG_OK}};
+  for (int precision = 0; precision < 2; ++precision) {
+    kg_tape *tape = new_tape(precision ? KG_FLOAT : KG_DOUBLE);
+    for (size_t c = 0; c < KG_COUNT_OF(cases); ++c) {
+      const kg_value a = kg_input(tape, KG_SHAPE(2, 2), cases[c].a);
+      const kg_value b = kg_input(tape, KG_SHAPE(2, 1), (double[]){1, 2});
+      const bool full = cases[c].flags < 0;
+      const kg_value x =
+        full ? kg_solve(tape, a, b, 0) : kg_solve_triangular(tape, a, b, cases[c].flags);
+      assert_int_equal(kg_tape_status(tape), cases[c].status);
+      assert_int_equal(kg_is_null(x), cases[c].status != KG_OK);
+      if (kg_is_null(x)) {
+        const char *name = full ? "solve: " : "solve_triangular: ";
+        assert_memory_equal(kg_tape_error(tape)->text, name, strlen(name));
+      }
+      kg_tape_rewind(tape, (kg_tape_mark){0});
+    }
+    kg_tape_destroy(tape);
+  }
+}
+
+/* seven directions in one sweep are seven sweeps: what a solve keeps is not used up */
+static void directions_of_a_sweep_are_independent(void **state)
+{
+  (void)state;
+  enum { DIRECTIONS = 7, N = 4, M = 3 };
+  kg_random random = kg_random_make(5);
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_value v[2] = {random_matrices(tape, &solves[2], &random),
+                         random_input(tape, solves[2].b, &random)};
+  const kg_value x = kg_solve(tape, v[0], v[1], KG_TRANSPOSE_A);
+  double *seeds = random_numbers(&random, DIRECTIONS * N * M);
+  double a[DIRECTIONS][N * N], b[DIRECTIONS][N * M], a1[N * N], b1[N * M];
+  const double *const all = seeds;
+  assert_int_equal(
+    kg_vjp(tape, DIRECTIONS, 1, &x, &all, 2, v, (double *const[]){&a[0][0], &b[0][0]}), KG_OK);
+  for (size_t d = 0; d < DIRECTIONS; ++d) {
+    const double *const one = seeds + d * N * M;
+    assert_int_equal(kg_vjp(tape, 1, 1, &x, &one, 2, v, (double *const[]){a1, b1}), KG_OK);
+    assert_memory_equal(a[d], a1, sizeof a1);
+    assert_memory_equal(b[d], b1, sizeof b1);
+  }
+  free(seeds);
+  kg_tape_destroy(tape);
+}
+
 static void shapes_that_do_not_fit_are_named(void **state)
 {
   (void)state;
@@ -167,6 +307,18 @@ static void shapes_that_do_not_fit_are_named(void **state)
   const kg_value bias = kg_input(tape, KG_SHAPE(6), NULL);
   assert_true(kg_is_null(kg_affine(tape, x, w, bias)));
   assert_string_equal(kg_tape_error(tape)->text, "affine: x (2, 6), weight (6, 4), bias (6)");
+  kg_tape_rewind(tape, empty);
+  static const kg_shape systems[][2] = {{{2, {3, 4}}, {2, {3, 1}}},
+                                        {{2, {3, 3}}, {2, {4, 1}}},
+                                        {{3, {2, 3, 3}}, {2, {3, 1}}},
+                                        {{2, {3, 3}}, {1, {3}}}};
+  for (size_t c = 0; c < KG_COUNT_OF(systems); ++c) {
+    const kg_value a = kg_input(tape, systems[c][0], NULL), b = kg_input(tape, systems[c][1], NULL);
+    assert_true(kg_is_null(kg_solve(tape, a, b, 0)));
+    assert_int_equal(kg_tape_status(tape), KG_ERR_SHAPE);
+    if (c == 0) assert_string_equal(kg_tape_error(tape)->text, "solve: shapes (3, 4) and (3, 1)");
+    kg_tape_rewind(tape, empty);
+  }
   kg_tape_destroy(tape);
 }
 
@@ -176,6 +328,9 @@ int main(void)
     cmocka_unit_test(products_are_sums_of_products),
     cmocka_unit_test(affine_adds_the_bias_to_every_row),
     cmocka_unit_test(constants_receive_no_adjoint),
+    cmocka_unit_test(solutions_satisfy_their_equations),
+    cmocka_unit_test(matrices_without_inverse_have_no_solution),
+    cmocka_unit_test(directions_of_a_sweep_are_independent),
     cmocka_unit_test(shapes_that_do_not_fit_are_named),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
