@@ -3,10 +3,11 @@
  *
  *   n, m   inputs, outputs of f       J (m, n)   analytic, row o by f's J' e_o
  *   N, E (m, n)   numerical derivative and the estimate of its error */
-#include "kinegrad/gradcheck.h"
+#include "autodiff/gradcheck.h"
 
 #include "kinegrad/arena.h"
 #include "kinegrad/derivatives.h"
+#include "kinegrad/program.h"
 #include "kinegrad/random.h"
 
 #include <float.h>
@@ -392,8 +393,8 @@ static double median(double *a, int count)
   return a[count / 2];
 }
 
-/* Median order over the last five halvings whose remainders stand clear of the rounding errors; +inf when there
- * are fewer than three. */
+/* Median order over the last five halvings whose remainders stand clear of the rounding errors. +inf when there
+ * are fewer than three, or when the remainder falls to rounding all at once: f is linear from there on. */
 static double order_of(const check *c, size_t o)
 {
   double order[5];
@@ -401,8 +402,9 @@ static double order_of(const check *c, size_t o)
   for (int k = HALVINGS - 2; k >= 0 && count < 5; --k) {
     const double coarse = c->remainder[(size_t)k * c->m + o];
     const double fine = c->remainder[(size_t)(k + 1) * c->m + o];
-    const bool clear = fine > 50 * c->noise[o] && coarse > 50 * c->noise[o] && isfinite(coarse);
-    if (clear && isfinite(fine)) order[count++] = log2(coarse / fine);
+    const bool clear = fine > 50 * c->noise[o] && coarse > 50 * c->noise[o] && coarse < HUGE_VAL;
+    if (clear && count == 0 && k < HALVINGS - 2 && fine > 1000 * c->noise[o]) return HUGE_VAL;
+    if (clear) order[count++] = log2(coarse / fine);
     if (!clear && count) break;
   }
   return count < 3 ? HUGE_VAL : median(order, count);
@@ -558,6 +560,8 @@ typedef struct recorded {
   void *user;
   kg_shape shape;
   kg_value x, y;
+  kg_program *program; /* in complex arithmetic, recorded at beside */
+  const double *beside;
 } recorded;
 
 static kg_status record(recorded *r, const double *x)
@@ -565,16 +569,16 @@ static kg_status record(recorded *r, const double *x)
   kg_tape_rewind(r->tape, (kg_tape_mark){0});
   r->x = kg_input(r->tape, r->shape, x);
   r->y = r->function(r->tape, r->x, r->user);
-  return kg_is_null(r->y) && kg_tape_status(r->tape) == KG_OK ? KG_ERR_UNDEFINED
-                                                              : kg_tape_status(r->tape);
+  const kg_status status = kg_tape_status(r->tape);
+  return status == KG_OK && kg_is_null(r->y) ? KG_ERR_UNDEFINED : status;
 }
 
 static kg_status recorded_value(void *user, const double *x, double *y)
 {
   recorded *r = user;
   const kg_status status = record(r, x);
-  for (size_t i = 0; status == KG_OK && i < kg_size_of(r->tape, r->y); ++i) {
-    y[i] = kg_item_at(r->tape, r->y, i);
+  if (status == KG_OK) {
+    memcpy(y, kg_data(r->tape, r->y), kg_size_of(r->tape, r->y) * sizeof *y);
   }
   return status;
 }
@@ -593,35 +597,94 @@ static kg_status recorded_jvp(void *user, const double *x, const double *d, doub
   return status == KG_OK ? kg_jvp(r->tape, 1, 1, &r->x, &d, 1, &r->y, &yd) : status;
 }
 
+/* complex numbers are pairs of doubles */
+static kg_status recorded_complex_step(void *user, const double *x, const double *d, double *yd)
+{
+  (void)x;
+  const double h = 1e-100;
+  recorded *r = user;
+  double *in = kg_program_input(r->program, 0);
+  for (size_t i = 0; i < kg_program_input_size(r->program, 0); ++i) {
+    in[2 * i] = r->beside[i];
+    in[2 * i + 1] = h * d[i];
+  }
+  const kg_status status = kg_program_run(r->program);
+  const double *out = kg_program_output(r->program, 0);
+  for (size_t o = 0; o < kg_program_output_size(r->program, 0); ++o) {
+    yd[o] = out[2 * o + 1] / h;
+  }
+  return status;
+}
+
+static kg_status no_slope(void *user, const double *x, const double *d, double *yd)
+{
+  const recorded *r = user;
+  (void)x, (void)d;
+  memset(yd, 0, kg_size_of(r->tape, r->y) * sizeof *yd);
+  return KG_OK;
+}
+
+static kg_status record_or_say(recorded *r, const char *name, const double *x, kg_error *error)
+{
+  const kg_status status = record(r, x);
+  if (status == KG_OK) return KG_OK;
+  return kg_fail(error, status, "", 0, 0, "%s: %s", name, kg_tape_error(r->tape)->text);
+}
+
+/* the program stays NULL when something in the record has no complex form */
+static kg_status freeze_beside(recorded *r, const char *name, const kg_allocator *allocator,
+                               kg_error *error)
+{
+  kg_status status = record_or_say(r, name, r->beside, error);
+  kg_program_def def = kg_program_default_def();
+  def.arithmetic_complex = true;
+  def.allocator = allocator;
+  if (status == KG_OK) {
+    status = kg_program_create(&def, r->tape, 1, &r->x, 1, &r->y, &r->program, error);
+  }
+  return status == KG_ERR_UNSUPPORTED ? KG_OK : status;
+}
+
 static kg_status check_recorded(recorded *r, const char *name, const double *x,
                                 const kg_gradcheck_def *def, kg_gradcheck_report *report,
                                 kg_error *error)
 {
-  const kg_status status = record(r, x);
-  if (status != KG_OK) {
-    return kg_fail(error, status, "", 0, 0, "%s: %s", name, kg_tape_error(r->tape)->text);
-  }
+  const kg_allocator *allocator = def ? def->allocator : NULL;
+  kg_status status = r->beside ? freeze_beside(r, name, allocator, error) : KG_OK;
+  if (status == KG_OK) status = record_or_say(r, name, x, error);
+  if (status != KG_OK) return status;
   const kg_differentiable f = {.name = name,
                                .inputs = kg_size_of(r->tape, r->x),
                                .outputs = kg_size_of(r->tape, r->y),
                                .user = r,
                                .value = recorded_value,
                                .vjp = recorded_vjp,
-                               .jvp = recorded_jvp};
+                               .jvp = recorded_jvp,
+                               .complex_step = r->program   ? recorded_complex_step
+                                               : !r->beside ? no_slope
+                                                            : NULL};
   return kg_gradcheck(&f, x, def, report, error);
+}
+
+kg_status kg_gradcheck_beside(const char *name, kg_recorded function, void *user, kg_shape shape,
+                              const double *x, const double *beside, const kg_gradcheck_def *def,
+                              kg_gradcheck_report *report, kg_error *error)
+{
+  recorded r = {.function = function, .user = user, .shape = shape, .beside = beside};
+  kg_tape_def settings = kg_tape_default_def();
+  settings.allocator = def ? def->allocator : NULL;
+  kg_status status = kg_tape_create(&settings, &r.tape, error);
+  if (status == KG_OK) status = check_recorded(&r, name, x, def, report, error);
+  kg_program_destroy(r.program);
+  kg_tape_destroy(r.tape);
+  return status;
 }
 
 kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, void *user, kg_shape shape,
                                 const double *x, const kg_gradcheck_def *def,
                                 kg_gradcheck_report *report, kg_error *error)
 {
-  recorded r = {.function = function, .user = user, .shape = shape};
-  kg_tape_def settings = kg_tape_default_def();
-  settings.allocator = def ? def->allocator : NULL;
-  kg_status status = kg_tape_create(&settings, &r.tape, error);
-  if (status == KG_OK) status = check_recorded(&r, name, x, def, report, error);
-  kg_tape_destroy(r.tape);
-  return status;
+  return kg_gradcheck_beside(name, function, user, shape, x, x, def, report, error);
 }
 
 /* -- a table for a terminal -------------------------------------------------------------------- */
