@@ -199,11 +199,11 @@ kg_value kg_power(kg_tape *tape, kg_value a, double exponent)
   return record_power(tape, a, exponent);
 }
 
-/* a scalar node has room for one constant: its clip is made of the two choices */
-kg_value kg_clip(kg_tape *tape, kg_value a, double low, double high)
+/* a scalar node has room for one constant: its clamp is made of the two choices */
+kg_value kg_clamp(kg_tape *tape, kg_value a, double low, double high)
 {
   if (!kg_is_scalar_node(a)) {
-    return kg_record_elementwise(tape, kg_op_clip, 1, &a, low, high, false);
+    return kg_record_elementwise(tape, kg_op_clamp, 1, &a, low, high, false);
   }
   const kg_value below = kg_min(tape, a, kg_constant_scalar(tape, high));
   return kg_max(tape, below, kg_constant_scalar(tape, low));

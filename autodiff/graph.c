@@ -79,7 +79,7 @@ const char *kg_op_name(kg_op op)
 #define KG_NAME(name, ...) #name,
 #define KG_NAME_TENSOR(name) #name,
   static const char *const names[KG_OP_COUNT] = {"input", "constant", "primitive",
-                                                 KG_UNARY_LIST(KG_NAME) KG_TRIG_LIST(KG_NAME) KG_CLIP_LIST(KG_NAME)
+                                                 KG_UNARY_LIST(KG_NAME) KG_TRIG_LIST(KG_NAME) KG_CLAMP_LIST(KG_NAME)
                                                    KG_BINARY_LIST(KG_NAME)
                                                      KG_TENSOR_LIST(KG_NAME_TENSOR)};
 #undef KG_NAME

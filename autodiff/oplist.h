@@ -42,8 +42,8 @@
   X(cos,        COS(a),                 -SIN(a))
 
 /* of two constants: tensors only, a scalar's is made of min and max */
-#define KG_CLIP_LIST(X)                                                                            \
-  X(clip,       CLIP(a, p, q),          RE(a) >= RE(p) && RE(a) <= RE(q) ? KG_ONE : KG_ZERO)
+#define KG_CLAMP_LIST(X)                                                                            \
+  X(clamp,      CLAMP(a, p, q),         RE(a) >= RE(p) && RE(a) <= RE(q) ? KG_ONE : KG_ZERO)
 
 /* name, value, derivative by a, derivative by b */
 #define KG_BINARY_LIST(X)                                                                          \
@@ -76,7 +76,7 @@
 #define KG_ENUM_TENSOR(name) kg_op_##name,
 typedef enum kg_op {
   kg_op_input, kg_op_constant, kg_op_primitive,
-  KG_UNARY_LIST(KG_ENUM) KG_TRIG_LIST(KG_ENUM) KG_CLIP_LIST(KG_ENUM) KG_BINARY_LIST(KG_ENUM)
+  KG_UNARY_LIST(KG_ENUM) KG_TRIG_LIST(KG_ENUM) KG_CLAMP_LIST(KG_ENUM) KG_BINARY_LIST(KG_ENUM)
   KG_TENSOR_LIST(KG_ENUM_TENSOR)
   KG_OP_COUNT
 } kg_op;

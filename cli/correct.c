@@ -129,7 +129,7 @@ static int read_scene(correction *c)
       cli_warning(values->talk.quiet, "%s: %.*s", values->scene.path[i], length, line);
       line += length + (line[length] == '\n');
     }
-    const kg_shape shape = {.kind = KG_SHAPE_MESH, .mesh = c->meshes[i]};
+    const kg_sdf_shape shape = {.kind = KG_SHAPE_MESH, .mesh = c->meshes[i]};
     (void)kg_scene_add(&c->scene, &shape); /* CLI_MAX_PATHS fit, and the ground */
   }
   return CLI_GOOD;

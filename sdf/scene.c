@@ -6,19 +6,19 @@ kg_scene kg_scene_ground(double height, kg_vec3 normal)
 {
   KG_ASSERT(kg_vec3_norm(normal) > 0.0);
   kg_scene scene = {.shape_count = 1};
-  scene.shapes[0] = (kg_shape){
+  scene.shapes[0] = (kg_sdf_shape){
     .kind = KG_SHAPE_PLANE, .a = kg_vec3_make(0.0, height, 0.0), .b = kg_vec3_normalized(normal)};
   return scene;
 }
 
-bool kg_scene_add(kg_scene *scene, const kg_shape *shape)
+bool kg_scene_add(kg_scene *scene, const kg_sdf_shape *shape)
 {
   if (scene->shape_count >= KG_SCENE_MAX_SHAPES) return false;
   scene->shapes[scene->shape_count++] = *shape;
   return true;
 }
 
-static kg_sdf_value shape_distance(const kg_shape *shape, kg_vec3 x)
+static kg_sdf_value shape_distance(const kg_sdf_shape *shape, kg_vec3 x)
 {
   switch (shape->kind) {
     case KG_SHAPE_PLANE:

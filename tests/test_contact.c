@@ -23,7 +23,7 @@ static probe on_plane(void)
 static probe on_ball(void)
 {
   probe c = {kg_contact_default_params(), {.shape_count = 0}};
-  const kg_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.2, 0.3}, .radius = 0.25};
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.2, 0.3}, .radius = 0.25};
   assert_true(kg_scene_add(&c.scene, &ball));
   return c;
 }
@@ -31,7 +31,7 @@ static probe on_ball(void)
 /* point at distance phi of the ball's surface in a given direction */
 static kg_vec3 near_ball(const probe *c, kg_vec3 direction, double phi)
 {
-  const kg_shape *ball = &c->scene.shapes[0];
+  const kg_sdf_shape *ball = &c->scene.shapes[0];
   return kg_vec3_add_scaled(ball->a, ball->radius + phi, kg_vec3_normalized(direction));
 }
 

@@ -19,15 +19,15 @@ static kg_scene make_scene(int k, const kg_mesh *mesh)
   kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
   if (k == 0) return scene;
   if (k == 1) return kg_scene_ground(0.0, kg_vec3_make(0.3, 1.0, -0.2));
-  kg_shape shape = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.6, 0.05}, .radius = 0.6};
+  kg_sdf_shape shape = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.6, 0.05}, .radius = 0.6};
   if (k == 3) {
-    shape = (kg_shape){.kind = KG_SHAPE_BOX,
+    shape = (kg_sdf_shape){.kind = KG_SHAPE_BOX,
                        .a = {0.1, -0.5, 0.0},
                        .b = {0.9, 0.5, 0.7},
                        .orientation = kg_quat_exp(kg_vec3_make(0.1, 0.2, -0.1))};
   }
   if (k == 4) {
-    shape = (kg_shape){.kind = KG_SHAPE_MESH, .mesh = mesh};
+    shape = (kg_sdf_shape){.kind = KG_SHAPE_MESH, .mesh = mesh};
   }
   scene.shape_count = 0;
   assert_true(kg_scene_add(&scene, &shape));
@@ -440,8 +440,8 @@ static void starts_without_a_way_downhill_come_out_too(void **state)
   (void)state;
   kg_body *body = human_body();
   kg_scene scenes[2] = {{0}, {0}};
-  const kg_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.3, 0.0}, .radius = 0.6};
-  const kg_shape wall = {.kind = KG_SHAPE_BOX,
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.3, 0.0}, .radius = 0.6};
+  const kg_sdf_shape wall = {.kind = KG_SHAPE_BOX,
                          .a = {0.0, 1.0, 0.0},
                          .b = {5.0, 5.0, 0.06},
                          .orientation = {1.0, 0.0, 0.0, 0.0}};

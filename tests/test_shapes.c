@@ -6,23 +6,23 @@ static kg_sdf_value shape_phi(kg_vec3 x, const void *user)
   return kg_scene_distance(user, x);
 }
 
-static kg_scene scene_of(kg_shape shape)
+static kg_scene scene_of(kg_sdf_shape shape)
 {
   kg_scene scene = {0};
   assert_true(kg_scene_add(&scene, &shape));
   return scene;
 }
 
-static kg_shape tilted_box(void)
+static kg_sdf_shape tilted_box(void)
 {
   const kg_quat turn = kg_quat_exp(kg_vec3_make(0.4, -0.9, 0.3));
-  return (kg_shape){
+  return (kg_sdf_shape){
     .kind = KG_SHAPE_BOX, .a = {0.3, -0.2, 0.5}, .b = {0.5, 0.2, 0.35}, .orientation = turn};
 }
 
-static kg_shape some_shape(int k)
+static kg_sdf_shape some_shape(int k)
 {
-  const kg_shape shapes[] = {
+  const kg_sdf_shape shapes[] = {
     {.kind = KG_SHAPE_PLANE, .a = {0.1, 0.2, 0.3}, .b = {0.6, 0.0, 0.8}},
     {.kind = KG_SHAPE_SPHERE, .a = {0.2, 0.1, -0.3}, .radius = 0.7},
     {.kind = KG_SHAPE_CAPSULE, .a = {-0.4, 0.1, 0.0}, .b = {0.5, 0.3, 0.2}, .radius = 0.25},
@@ -85,7 +85,7 @@ static void closest_point_lies_on_the_surface(void **state)
 static void box_agrees_with_its_sampled_surface(void **state)
 {
   (void)state;
-  const kg_shape box = tilted_box();
+  const kg_sdf_shape box = tilted_box();
   const kg_scene scene = scene_of(box);
   const double half[3] = {box.b.x, box.b.y, box.b.z};
   kg_random random = kg_random_make(14);
@@ -137,7 +137,7 @@ static void special_points_have_a_usable_normal(void **state)
 {
   (void)state;
   for (int k = 1; k < SOME_SHAPES; k++) {
-    const kg_shape shape = some_shape(k);
+    const kg_sdf_shape shape = some_shape(k);
     const kg_scene scene = scene_of(shape);
     const kg_vec3 middle = kg_vec3_lerp(shape.a, shape.b, 0.5);
     const kg_vec3 points[] = {shape.a, shape.kind == KG_SHAPE_CAPSULE ? shape.b : shape.a,
@@ -160,7 +160,7 @@ static void scene_is_the_union_of_its_shapes(void **state)
   kg_scene scene = kg_scene_ground(0.1, kg_vec3_make(0.0, 5.0, 0.0));
   assert_close(kg_scene_distance(&scene, kg_vec3_make(3.0, 0.3, 1.0)).distance, 0.2, 1e-15);
   for (int k = 0; k < SOME_SHAPES; k++) {
-    const kg_shape shape = some_shape(k);
+    const kg_sdf_shape shape = some_shape(k);
     assert_true(kg_scene_add(&scene, &shape));
   }
   kg_random random = kg_random_make(15);
@@ -173,7 +173,7 @@ static void scene_is_the_union_of_its_shapes(void **state)
     }
     assert_close(kg_scene_distance(&scene, x).distance, least, 1e-15);
   }
-  const kg_shape ball = some_shape(1);
+  const kg_sdf_shape ball = some_shape(1);
   while (scene.shape_count < KG_SCENE_MAX_SHAPES) {
     assert_true(kg_scene_add(&scene, &ball));
   }

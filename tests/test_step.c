@@ -92,7 +92,7 @@ static void jacobian_matches_differences(void **state)
   kg_body *body = human_body();
   kg_scene scene = ground();
   kg_scene bumpy = ground();
-  const kg_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.5, 0.1}, .radius = 0.5005};
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.5, 0.1}, .radius = 0.5005};
   assert_true(kg_scene_add(&bumpy, &ball));
   /* as large as kinks allow: of the slip at 3e-4 m/s when standing */
   const double step_size[4] = {1e-3, 2e-7, 4e-6, 4e-6};

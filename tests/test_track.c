@@ -307,7 +307,7 @@ static void an_obstacle_is_left_in_the_first_frame(void **state)
   enum { T = 12 };
   kg_clip *clip = standing_clip(T, DT);
   kg_subject *subject = subject_of(clip, NULL);
-  const kg_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.25, 0.2}, .radius = 0.12};
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.25, 0.2}, .radius = 0.12};
   assert_true(kg_scene_add(&subject->scene, &ball));
   kg_correct_result *r = tracked(subject, NULL);
   kg_dynamics *dynamics;

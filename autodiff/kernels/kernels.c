@@ -22,7 +22,7 @@
 #define ROW(name, ...) [kg_op_##name] = {name##_forward, name##_vjp, name##_jvp},
 #define TENSOR_ROW(name) ROW(name, 0)
 const kg_kernel KG_TABLE(KG_TYPE, KG_ISA)[KG_OP_COUNT] = {
-  KG_UNARY_LIST(ROW) KG_TRIG_LIST(ROW) KG_CLIP_LIST(ROW) KG_BINARY_LIST(ROW)
+  KG_UNARY_LIST(ROW) KG_TRIG_LIST(ROW) KG_CLAMP_LIST(ROW) KG_BINARY_LIST(ROW)
   CHOICE_ROWS REDUCTION_ROWS MATRIX_ROWS MOVE_ROWS ROTATION_ROWS NETWORK_ROWS
 };
 /* clang-format on */

@@ -45,7 +45,7 @@ KG_API kg_value kg_shift(kg_tape *tape, kg_value a, double term);
 /* a^exponent: any a for an integer exponent, a >= 0 otherwise. */
 KG_API kg_value kg_power(kg_tape *tape, kg_value a, double exponent);
 /* min(max(a, low), high); derivative 1 for low <= a <= high, 0 outside. */
-KG_API kg_value kg_clip(kg_tape *tape, kg_value a, double low, double high);
+KG_API kg_value kg_clamp(kg_tape *tape, kg_value a, double low, double high);
 
 KG_API kg_value kg_neg(kg_tape *tape, kg_value a);
 KG_API kg_value kg_reciprocal(kg_tape *tape, kg_value a);

@@ -103,13 +103,13 @@ KG_API kg_value kg_differentiate_root(kg_tape *tape, const kg_root *root, int co
 
 /* Records outputs from inputs on the tape it is given. Called again, with equal numbers, when the
  * backward sweep arrives: it must record the same operators both times. */
-typedef kg_status (*kg_segment)(kg_tape *tape, void *user, int input_count, const kg_value *inputs,
+typedef kg_status (*kg_checkpointed)(kg_tape *tape, void *user, int input_count, const kg_value *inputs,
                                 int output_count, kg_value *outputs);
 
 /* Runs the segment and keeps only its inputs and outputs; the sweeps record it anew on a tape of
  * their own, whose memory all checkpoints of this tape share. Only the inputs passed are
  * differentiated. user must stay valid until the last sweep. Nesting is allowed. */
-KG_API kg_status kg_checkpoint(kg_tape *tape, kg_segment segment, void *user, int input_count,
+KG_API kg_status kg_checkpoint(kg_tape *tape, kg_checkpointed segment, void *user, int input_count,
                                const kg_value *inputs, int output_count, kg_value *outputs);
 
 #ifdef __cplusplus

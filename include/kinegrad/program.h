@@ -8,7 +8,7 @@
  * `lanes` numbers, (entry, lane) with the lane fastest, so scalar formulas run at vector speed.
  * lanes = 1 is plain row-major data.
  *
- * Choices. min, max, clip, where and the like choose anew on every run. An `if` of the recording code
+ * Choices. min, max, clamp, where and the like choose anew on every run. An `if` of the recording code
  * (kg_is_less) cannot: when a run's inputs turn one around, kg_program_run returns KG_ERR_STALE, and
  * kg_program_error names the operands' operator, the tag and the lane. The outputs are then not to be used.
  *

@@ -95,7 +95,7 @@ typedef enum kg_shape_kind {
   KG_SHAPE_MESH
 } kg_shape_kind;
 
-typedef struct kg_shape {
+typedef struct kg_sdf_shape {
   kg_shape_kind kind;
   kg_vec3 a, b;         /* plane: point, unit normal; sphere: centre, -; box: centre, half sizes;
                            capsule: both ends                                                  */
@@ -103,7 +103,7 @@ typedef struct kg_shape {
   kg_quat orientation;  /* box                                                                 */
   const kg_height_field *field; /* borrowed */
   const kg_mesh *mesh;          /* borrowed */
-} kg_shape;
+} kg_sdf_shape;
 
 enum { KG_SCENE_MAX_SHAPES = 32 };
 
@@ -111,13 +111,13 @@ enum { KG_SCENE_MAX_SHAPES = 32 };
  * borrowed meshes and fields. */
 typedef struct kg_scene {
   int shape_count;
-  kg_shape shapes[KG_SCENE_MAX_SHAPES];
+  kg_sdf_shape shapes[KG_SCENE_MAX_SHAPES];
 } kg_scene;
 
 /* Scene with one plane through (0, height, 0), normal given (need not be unit). */
 KG_API kg_scene kg_scene_ground(double height, kg_vec3 normal);
 /* False when the scene is full. */
-KG_API bool kg_scene_add(kg_scene *scene, const kg_shape *shape);
+KG_API bool kg_scene_add(kg_scene *scene, const kg_sdf_shape *shape);
 KG_API kg_sdf_value kg_scene_distance(const kg_scene *scene, kg_vec3 x);
 
 #ifdef __cplusplus
