@@ -1,0 +1,82 @@
+/* bench/autodiff/problems.h - the problems on which gradients are timed: two objectives of ADBench
+ * (F. Srajer, Z. Kukelova, A. Fitzgibbon, A benchmark of selected algorithmic differentiation tools
+ * on some problems in computer vision and machine learning, Optim. Methods Softw. 33 (2018)) and
+ * three nets; each with a plain evaluation, in straight loops, that knows nothing of the library. */
+#ifndef BENCH_AUTODIFF_PROBLEMS_H
+#define BENCH_AUTODIFF_PROBLEMS_H
+
+#include "kinegrad/arena.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- Gaussian mixture ------------------------------------------------------------------------ */
+
+/* theta: weights alpha (K), means mu (K x D), icf (K x D(D+1)/2), each row the D logarithms of the
+ * diagonal of Q_k and then its strict lower triangle column by column. */
+typedef struct kg_bench_gmm {
+  int D, K, n;
+  double gamma; /* of the Wishart prior */
+  int m;
+  int parameter_count;
+  double *theta; /* (parameter_count) */
+  double *x;     /* (n x D)           */
+  kg_arena arena;
+} kg_bench_gmm;
+
+/* Reads "D K n", theta, x, "gamma m". On failure *gmm is NULL. */
+kg_status kg_bench_gmm_read(kg_bench_gmm **gmm, const char *path, kg_error *error);
+/* Random numbers of the same distribution and size, with gamma = 1, m = 0. */
+kg_status kg_bench_gmm_synthetic(kg_bench_gmm **gmm, int D, int K, int n, uint64_t seed);
+void kg_bench_gmm_destroy(kg_bench_gmm *gmm);
+
+/* Numbers of work memory that the two functions below need. */
+size_t kg_bench_gmm_work(const kg_bench_gmm *gmm);
+/* The log posterior at theta. */
+double kg_bench_gmm_value(const kg_bench_gmm *gmm, const double *theta, double *work);
+/* The same and its gradient (parameter_count), derived by hand. */
+double kg_bench_gmm_gradient(const kg_bench_gmm *gmm, const double *theta, double *gradient,
+                             double *work);
+/* The part of it that depends on no parameter: - n D/2 log(2 pi) - K C. */
+double kg_bench_gmm_constant(const kg_bench_gmm *gmm);
+
+/* ---- bundle adjustment ----------------------------------------------------------------------- */
+
+enum { KG_BENCH_BA_CAMERA = 11, KG_BENCH_BA_INPUTS = 15 };
+
+/* theta: cameras (n x 11: r 3, C 3, f, x0 2, k 2), points (m x 3), weights (p). */
+typedef struct kg_bench_ba {
+  int n, m, p;
+  int parameter_count;
+  double *theta;       /* (parameter_count)               */
+  double *feature;     /* (p x 2)                         */
+  int *camera, *point; /* (p) which ones an observation joins */
+  kg_arena arena;
+} kg_bench_ba;
+
+/* Reads "n m p", one camera, point, weight and feature, which all of them equal. */
+kg_status kg_bench_ba_read(kg_bench_ba **ba, const char *path, kg_error *error);
+kg_status kg_bench_ba_synthetic(kg_bench_ba **ba, int n, int m, int p);
+/* Changes every number by up to 2 % of its size (at least 1e-3), each differently, so that a wrong
+ * index shows in the answer. */
+void kg_bench_ba_perturb(kg_bench_ba *ba, uint64_t seed);
+void kg_bench_ba_destroy(kg_bench_ba *ba);
+
+/* The 15 inputs of observation i: camera, point, weight. */
+void kg_bench_ba_inputs(const kg_bench_ba *ba, const double *theta, int i, double *inputs);
+/* residuals: (p x 2) of the features, then (p) of the weights. */
+void kg_bench_ba_residuals(const kg_bench_ba *ba, const double *theta, double *residuals);
+/* Half the sum of the squares of all residuals. */
+double kg_bench_ba_loss(const kg_bench_ba *ba, const double *theta);
+
+/* The same by another road, with complex steps: slow, exact to rounding.
+ *   residuals (3 p) as above; jacobian: (p x 2 x 15), then (p) of the weights; gradient: of the
+ *   loss (parameter_count). Each may be NULL. */
+void kg_bench_ba_reference(const kg_bench_ba *ba, const double *theta, double *residuals,
+                           double *jacobian, double *gradient);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
