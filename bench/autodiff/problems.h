@@ -35,6 +35,8 @@ void kg_bench_gmm_destroy(kg_bench_gmm *gmm);
 size_t kg_bench_gmm_work(const kg_bench_gmm *gmm);
 /* The log posterior at theta. */
 double kg_bench_gmm_value(const kg_bench_gmm *gmm, const double *theta, double *work);
+/* The same, compiled with -O2: the faster of the two where D is small. */
+double kg_bench_gmm_value_O2(const kg_bench_gmm *gmm, const double *theta, double *work);
 /* The same and its gradient (parameter_count), derived by hand. */
 double kg_bench_gmm_gradient(const kg_bench_gmm *gmm, const double *theta, double *gradient,
                              double *work);
@@ -75,6 +77,57 @@ double kg_bench_ba_loss(const kg_bench_ba *ba, const double *theta);
  *   loss (parameter_count). Each may be NULL. */
 void kg_bench_ba_reference(const kg_bench_ba *ba, const double *theta, double *residuals,
                            double *jacobian, double *gradient);
+
+/* ---- nets ------------------------------------------------------------------------------------ */
+
+enum { KG_BENCH_NET_LAYERS = 3 };
+
+typedef enum kg_bench_net_kind {
+  KG_BENCH_MLP, /* a row is a sample                                                            */
+  KG_BENCH_TCN, /* rows of an element are frames; a frame sees itself and its two neighbours,
+                   zeros beyond the ends                                                        */
+  KG_BENCH_GCN  /* rows of an element are the nodes of a tree, mixed by the adjacency           */
+} kg_bench_net_kind;
+
+typedef enum kg_bench_activation { KG_BENCH_RELU, KG_BENCH_TANH } kg_bench_activation;
+
+/* Layer l: H <- act(G(H) W_l + b_l), the last one without act; G as the kind says. Loss: the sum of
+ * the squares of output - target over 2 x rows. Everything row-major and float. */
+typedef struct kg_bench_net {
+  kg_bench_net_kind kind;
+  kg_bench_activation activation;
+  int width[KG_BENCH_NET_LAYERS + 1]; /* of the input and of the layers             */
+  int batch, group;                   /* elements, rows of an element               */
+  int rows;                           /* batch x group                              */
+  int taps;                           /* of G: inputs of a layer are taps x width   */
+  int parameter_count;
+  float *theta;     /* W_0 (taps width_0 x width_1), b_0, W_1, b_1, ...               */
+  float *x;         /* (rows x width_0)                                               */
+  float *target;    /* (rows x width_3)                                               */
+  float *adjacency; /* GCN: (group x group), D^-1/2 (A + I) D^-1/2 of a random tree   */
+  kg_arena arena;
+} kg_bench_net;
+
+kg_status kg_bench_net_create(kg_bench_net **net, kg_bench_net_kind kind,
+                              kg_bench_activation activation,
+                              const int width[KG_BENCH_NET_LAYERS + 1], int batch, int group,
+                              uint64_t seed);
+void kg_bench_net_destroy(kg_bench_net *net);
+/* Inputs and outputs of layer l. */
+int kg_bench_net_inputs(const kg_bench_net *net, int l);
+int kg_bench_net_outputs(const kg_bench_net *net, int l);
+
+/* Loss and gradient (parameter_count) in plain double loops, element by element. */
+kg_status kg_bench_net_gradient(const kg_bench_net *net, double *loss, double *gradient);
+
+/* The matrix products of a forward and backward pass and nothing else, by OpenBLAS: per layer
+ * y = u W, dW = u' dy and, but for the first layer, whose input needs no derivative, du = dy W'. */
+typedef struct kg_bench_products kg_bench_products;
+kg_status kg_bench_products_create(kg_bench_products **products, const kg_bench_net *net);
+void kg_bench_products_run(kg_bench_products *products);
+void kg_bench_products_destroy(kg_bench_products *products);
+/* Floating-point operations of one run. */
+double kg_bench_products_flops(const kg_bench_products *products);
 
 #ifdef __cplusplus
 }
