@@ -50,10 +50,6 @@ typedef struct kg_bench_pair {
 typedef struct kg_bench_setting {
   const char *data_folder; /* NULL: synthetic data */
   int rounds;              /* >= 1                 */
-  const char *filter;      /* part of a case's name; NULL: all */
-  /* before each case; false stops. NULL allowed. */
-  bool (*proceed)(const char *case_name, double share, void *user);
-  void *user;
 } kg_bench_setting;
 
 typedef struct kg_bench_case {
@@ -73,17 +69,22 @@ typedef struct kg_bench_case {
   int pair_count;
 } kg_bench_case;
 
+typedef struct kg_bench_group {
+  const kg_bench_case *cases;
+  int count;
+} kg_bench_group;
+
 typedef struct kg_bench_suite {
   const char *name;
   const char *summary;
-  const kg_bench_case *const *cases;
-  int case_count;
+  const kg_bench_group *groups;
+  int group_count;
 } kg_bench_suite;
 
-extern const kg_bench_suite *const kg_bench_suites[];
+extern const kg_bench_suite kg_bench_suites[];
 extern const int kg_bench_suite_count;
 
-/* Compiler, flags, processor: one line each, zero-terminated, for the head of a table. */
+/* Compiler and flags, a line each, for the head of a table; ends with NULL. */
 extern const char *const kg_bench_build[];
 
 /* ---- results --------------------------------------------------------------------------------- */
@@ -105,14 +106,12 @@ typedef struct kg_bench_result {
   const kg_bench_case *of;
   kg_bench_problem problem; /* closed: no data */
   kg_bench_measure measures[KG_BENCH_MAX_CONTESTANTS];
-  double agreements[KG_BENCH_MAX_CONTESTANTS]; /* of each pair's two answers */
+  /* of each pair: the difference of the two answers, and of ours from the reference if larger */
+  double agreements[KG_BENCH_MAX_CONTESTANTS];
   bool agrees;
 } kg_bench_result;
 
 /* Runs one case. KG_OK with agrees false when an answer differs; then nothing is timed. */
 kg_status kg_bench_run(kg_bench_result *result, const kg_bench_case *of,
                        const kg_bench_setting *setting, kg_error *error);
-/* Whether a case's name has the filter's text in it. */
-bool kg_bench_selected(const kg_bench_case *of, const char *filter);
-
 #endif

@@ -27,11 +27,6 @@ typedef struct runner {
   kg_bench_time *samples[KG_BENCH_MAX_CONTESTANTS];
 } runner;
 
-bool kg_bench_selected(const kg_bench_case *of, const char *filter)
-{
-  return !filter || strstr(of->name, filter) != NULL;
-}
-
 /* ---- comparison ------------------------------------------------------------------------------ */
 
 /* Largest difference of a class over the class's largest entry of b; NaN counts as infinite. */
@@ -113,8 +108,7 @@ static kg_status first_answer(runner *r, int i)
   measure->difference =
     answer_difference(r, r->answers[i], r->reference, contestant->parts, &measure->worst_part);
   const bool has_answer = contestant->parts != 0; /* bare work to compare times with has none */
-  r->result->agrees =
-    r->result->agrees && (!has_answer || measure->difference <= r->of->tolerance);
+  r->result->agrees = r->result->agrees && (!has_answer || measure->difference <= r->of->tolerance);
   return KG_OK;
 }
 
@@ -127,8 +121,10 @@ static void compare_pairs(runner *r)
     int worst = 0;
     r->result->agreements[k] = NAN;
     if (is_there(r, pair->ours) && is_there(r, pair->peer)) {
+      /* a peer that answers only a part, as an objective does, leaves the rest to the reference */
       r->result->agreements[k] =
-        answer_difference(r, r->answers[pair->ours], r->answers[pair->peer], common, &worst);
+        fmax(r->result->measures[pair->ours].difference,
+             answer_difference(r, r->answers[pair->ours], r->answers[pair->peer], common, &worst));
     }
   }
 }

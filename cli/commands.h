@@ -5,10 +5,16 @@
 #include "cli/options.h"
 
 /* clang-format off */
+#ifdef CLI_HAS_BENCH
+#define CLI_BENCH(X) X(bench)
+#else
+#define CLI_BENCH(X)
+#endif
 #define CLI_COMMAND_LIST(X)                                                                        \
   X(info)                                                                                          \
   X(correct)                                                                                       \
-  X(eval)
+  X(eval)                                                                                          \
+  CLI_BENCH(X)
 /* clang-format on */
 
 #define CLI_DECLARE(name) extern const cli_command cli_command_##name;

@@ -298,7 +298,8 @@ cli_parsed cli_parse(const cli_command *command, int argc, char *const *argv, vo
       return parsed;
     }
   }
-  if (operands->count != command->operand_count) {
+  if (operands->count < command->operand_count ||
+      operands->count > command->operand_count + command->optional_count) {
     cli_message("'%s' takes %s, %d given; usage: kinegrad %s %s", command->name,
                 command->operands_text, operands->count, command->name, command->usage);
     return CLI_WRONG;

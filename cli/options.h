@@ -60,7 +60,8 @@ typedef struct cli_command {
   const char *const *examples; /* NULL-terminated; a test runs every line        */
   const cli_group *groups;
   int group_count;
-  int operand_count;         /* exactly so many files                          */
+  int operand_count;         /* so many files at least                         */
+  int optional_count;        /* and so many more at most                       */
   const char *operands_text; /* "one clip", for the message when there are not */
   const void *defaults;      /* values struct, copied before parsing           */
   size_t values_size;

@@ -53,8 +53,11 @@ static void draw(const cli_progress *progress, double share, const char *stage, 
             stage, share, progress->frames, done, fps, left);
     return;
   }
-  fprintf(stderr, "\r\033[K%-12s %3.0f %%  %.0f/%d frames  %.0f fps  ETA %.0f s", stage,
-          100.0 * share, done, progress->frames, fps, left);
+  fprintf(stderr, "\r\033[K%-12s %3.0f %%", stage, 100.0 * share);
+  if (progress->frames > 0) {
+    fprintf(stderr, "  %.0f/%d frames  %.0f fps", done, progress->frames, fps);
+  }
+  fprintf(stderr, "  ETA %.0f s", left);
   line_is_shown = true;
 }
 

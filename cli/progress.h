@@ -13,7 +13,7 @@ typedef enum cli_progress_style {
 typedef struct cli_progress {
   cli_progress_style style; /* AUTO is resolved by cli_progress_start */
   bool draws;
-  int frames;         /* of the whole clip */
+  int frames;         /* of the whole clip; 0: there is none */
   double start, last; /* s, monotonic      */
 } cli_progress;
 

@@ -1,0 +1,33 @@
+/* What the case files of this folder share. */
+#ifndef BENCH_AUTODIFF_CASES_H
+#define BENCH_AUTODIFF_CASES_H
+
+#include "bench/autodiff/adolc_peer.h"
+#include "bench/autodiff/problems.h"
+#include "bench/bench.h"
+
+/* ADOL-C's row of a contestants' table; without it in the build the row says so. */
+#ifdef KG_BENCH_HAS_ADOLC
+#define ADOLC_CONTESTANT(title, mask, create_function)                                             \
+  {                                                                                                \
+    .name = (title), .parts = (mask), .create = (create_function), .run = kg_adolc_run,            \
+    .destroy = kg_adolc_destroy                                                                    \
+  }
+#else
+#define ADOLC_CONTESTANT(title, mask, create_function)                                             \
+  {                                                                                                \
+    .name = (title), .absent = "ADOL-C was not there at build time", .parts = (mask)               \
+  }
+#endif
+
+enum {
+  BENCH_GMM_CASES = 6,
+  BENCH_BA_CASES = 5,
+  BENCH_NET_CASES = 6,
+};
+
+extern const kg_bench_case kg_bench_gmm_cases[BENCH_GMM_CASES];
+extern const kg_bench_case kg_bench_ba_cases[BENCH_BA_CASES];
+extern const kg_bench_case kg_bench_net_cases[BENCH_NET_CASES];
+
+#endif

@@ -1,0 +1,22 @@
+/* The suites, and how this program was built. */
+#include "bench/autodiff/cases.h"
+#include "bench/bench.h"
+
+static const kg_bench_group autodiff[] = {
+  {kg_bench_gmm_cases, BENCH_GMM_CASES},
+  {kg_bench_ba_cases, BENCH_BA_CASES},
+  {kg_bench_net_cases, BENCH_NET_CASES},
+};
+
+const kg_bench_suite kg_bench_suites[] = {
+  {"autodiff", "gradients and Jacobians beside plain C and ADOL-C", autodiff,
+   KG_COUNT_OF(autodiff)},
+};
+const int kg_bench_suite_count = (int)KG_COUNT_OF(kg_bench_suites);
+
+const char *const kg_bench_build[] = {
+  "compiler     " KG_BENCH_COMPILER,
+  "library      " KG_BENCH_LIBRARY_FLAGS,
+  "plain C      " KG_BENCH_PLAIN_FLAGS,
+  NULL,
+};
