@@ -35,8 +35,8 @@ static void print_exit_codes(FILE *out)
 {
   fputs("  0    done, and the answer is good\n"
         "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
-        "       converge, a lost simulation, an output far from the capture, a clip without its "
-        "output\n"
+        "       converge, a lost simulation, an output far from the capture, a clip without its\n"
+        "       output, answers of a benchmark that differ\n"
         "  2    wrong usage\n"
         "  3    an input cannot be read, or cannot be used\n"
         "  4    an output cannot be written\n"
@@ -65,7 +65,9 @@ static void print_json(FILE *out)
         "  residual_moment_ratio_peak  correction_force_ratio  correction_force_ratio_peak\n"
         "  peak_grf_N  unexplained_count  unexplained_frames  restart_frames  ms_per_frame\n"
         "  timing  newton\n"
-        "docs/guide/read-the-report.md defines each of them.\n",
+        "bench has one object per ratio under cases: name, value, unit, peer, peer_value, ratio,\n"
+        "agreement.\n"
+        "docs/guide/read-the-report.md defines those of correct and eval.\n",
         out);
 }
 

@@ -114,8 +114,7 @@ static void the_heap_keeps_count(void **state)
 
 typedef kg_status create_fn(void **state, const void *data, const kg_allocator *allocator);
 
-/* Two answers of the peer, the second with what the first left behind, equal expected[count]; then
- * once more after *number has changed, expected again. */
+/* Two answers of the peer, the second with what the first left behind, equal expected[count]. */
 static void answers(create_fn *create, const void *data, const double *expected, size_t count)
 {
   void *peer = NULL;
@@ -161,6 +160,8 @@ static void adolc_gives_the_derivatives_of_bundle_adjustment(void **state)
   loss[0] = kg_bench_ba_loss(ba, ba->theta);
   answers(kg_adolc_ba_jacobian_retaped, ba, jacobian, 12 * 31);
   answers(kg_adolc_ba_jacobian_replayed, ba, jacobian, 12 * 31);
+  answers(kg_adolc_ba_observation_retaped, ba, jacobian, 12 * 31);
+  answers(kg_adolc_ba_observation_replayed, ba, jacobian, 12 * 31);
   answers(kg_adolc_ba_loss_retaped, ba, loss, 1 + (size_t)ba->parameter_count);
   answers(kg_adolc_ba_loss_replayed, ba, loss, 1 + (size_t)ba->parameter_count);
   free(loss);

@@ -133,7 +133,9 @@ for topic in formats units exit-codes json roles info correct eval; do
 done
 run 0 help json
 claim "help json has the keys" grep -q momentum_balance stdout.txt
-for command in info correct eval; do
+commands="info correct eval"
+"$kinegrad" bench -h >/dev/null 2>&1 && commands="$commands bench"
+for command in $commands; do
   run 0 $command -h
   grep -oE -- '--[a-z-]+' stdout.txt | sort -u >short.txt
   cp stdout.txt short_text.txt
@@ -153,7 +155,7 @@ mkdir -p examples/captures examples/corrected
 cp "$walk" examples/walk.bvh
 cp "$walk" examples/captures/walk.bvh
 cp "$walk" examples/corrected/walk.bvh
-for command in info correct eval; do
+for command in $commands; do
   "$kinegrad" $command --help | sed -n '/^Examples:/,$p' | sed -n 's/^  kinegrad //p' >examples.txt
   claim "$command has examples" test -s examples.txt
   while read -r line; do
@@ -431,6 +433,49 @@ claim "residual over weight" awk "BEGIN {n = $("$json_get" out/a.json residual_f
   w = n / 600 - $("$json_get" out/a.json residual_force_over_weight)
   p = n - $("$json_get" out/a.json residual_force_ratio) * $("$json_get" out/a.json peak_grf_N)
   exit !(n > 0 && w * w < 1e-18 && p * p < 1e-18 * n * n)}"
+
+# ---- bench ---------------------------------------------------------------------------------------
+
+if "$kinegrad" bench -h >/dev/null 2>&1; then
+  run 2 bench sofa
+  says "unknown suite 'sofa'; there is: autodiff"
+  run 2 bench autodiff autodiff
+  says "takes one suite or none, 2 given"
+  run 2 bench --rounds 0
+  says "--rounds: 0 is out of range"
+  run 2 bench --filter no_such_case
+  says "no case has 'no_such_case' in its name"
+  run 3 bench --filter ba1 --data no_such_folder
+  says "no_such_folder/ba1\.txt: cannot be opened"
+  mkdir -p bad/adbench
+  printf '2 3 4\n1 2 3 4 5 6 7 8 9 10 11\n12 x 14\n' >bad/adbench/ba1.txt
+  printf '10 25\n' >bad/adbench/gmm_d10_K25.txt
+  run 3 bench --filter ba1 --data bad/adbench --json out/ratios.json
+  says "^kinegrad: bad/adbench/ba1\.txt:3:4: found 'x', expected a coordinate of the point"
+  run 3 bench --filter gmm_d10 --data bad/adbench
+  says "gmm_d10_K25\.txt:2:1: found the end of the file, expected the number of points n"
+  silent
+  run 4 bench --filter mlp --json no_such_folder/x.json
+  printf '2 3 8\n-0.8 -1.1 -0.8 35 40 54 420 6 -8 0.09 0.003\n7 0.5 3\n0.4\n270 830\n' >bad/adbench/ba1.txt
+  run 0 bench autodiff --filter ba1 --data bad/adbench --rounds 1 --json ratios.json
+  claim "bench: where the data come from" grep -q "^ba1_loss: bad/adbench/ba1\.txt, perturbed" stdout.txt
+  claim "bench: compiler and flags" grep -Eq "^plain C  .*-ffp-contract=fast" stdout.txt
+  claim "bench: a denominator in milliseconds" grep -Eq "plain loss, -O3 +[0-9.e-]+ +[0-9.e-]+ .* 1 x" stdout.txt
+  if grep -q "not here" stdout.txt; then
+    echo "skipped: ratios of bench, a peer is not in this build"
+  else
+    for key in name value unit peer peer_value ratio agreement; do
+      claim "bench: key $key" "$json_get" ratios.json cases.0.$key
+    done
+    claim "bench: the answers agree" \
+      awk "BEGIN {exit !($("$json_get" ratios.json cases.0.agreement) <= 1e-10)}"
+    claim "bench: the ratio is that of the two times" awk "BEGIN {
+      r = $("$json_get" ratios.json cases.0.value) / $("$json_get" ratios.json cases.0.peer_value)
+      d = r / $("$json_get" ratios.json cases.0.ratio) - 1; exit !(d * d < 1e-20)}"
+  fi
+else
+  echo "skipped: bench is not in this build"
+fi
 
 # ---- documents keep up ---------------------------------------------------------------------------
 

@@ -18,14 +18,18 @@ extern "C" {
 kg_status kg_adolc_gmm_retaped(void **state, const void *data, const kg_allocator *allocator);
 kg_status kg_adolc_gmm_replayed(void **state, const void *data, const kg_allocator *allocator);
 
-/* answer: jacobian (p x 2 x 15), (p) of the weights; a tape of one observation. data: kg_bench_ba. */
+/* answer: Jacobian (p x 2 x 15), (p) of the weights. data: kg_bench_ba. "jacobian": all observations
+ * on one tape; "observation": a tape of one observation, again and again. */
 kg_status kg_adolc_ba_jacobian_retaped(void **state, const void *data,
                                        const kg_allocator *allocator);
 kg_status kg_adolc_ba_jacobian_replayed(void **state, const void *data,
                                         const kg_allocator *allocator);
+kg_status kg_adolc_ba_observation_retaped(void **state, const void *data,
+                                          const kg_allocator *allocator);
+kg_status kg_adolc_ba_observation_replayed(void **state, const void *data,
+                                           const kg_allocator *allocator);
 
-/* answer: loss, gradient. "retaped": the whole sum on one tape; "replayed": a tape of one
- * observation, replayed for each. */
+/* answer: loss, gradient; the whole sum on one tape. */
 kg_status kg_adolc_ba_loss_retaped(void **state, const void *data, const kg_allocator *allocator);
 kg_status kg_adolc_ba_loss_replayed(void **state, const void *data, const kg_allocator *allocator);
 

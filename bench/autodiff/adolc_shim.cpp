@@ -14,6 +14,14 @@ typedef std::vector<adouble> adoubles;
 
 enum : short { TAG_RETAPED = 1, TAG_REPLAYED = 2 };
 
+// Every tape carries the whole store of active numbers, which only grows: behind a large tape a small
+// one would copy megabytes for each derivative. Changing the kind of store and back empties it.
+void empty_store()
+{
+  setStoreManagerType(ADOLC_LOCATION_SINGLETONS);
+  setStoreManagerType(ADOLC_LOCATION_BLOCKS);
+}
+
 // A differentiated problem: run fills the answer.
 struct peer {
   short tag;
@@ -190,15 +198,16 @@ void observe(adouble residual[2], const adouble *camera, const adouble *X, const
   }
 }
 
-// A tape of one observation, with its feature as parameters: out[outputs] of in[15].
+enum { N = KG_BENCH_BA_INPUTS, OPERATIONS = 120 }; // of an observation
+
+// A tape of one observation, its feature being parameters of the tape: out[2] of in[15].
 struct observation_peer : peer {
-  enum { N = KG_BENCH_BA_INPUTS };
   const kg_bench_ba *ba;
-  bool is_replayed, is_loss;
+  bool is_replayed;
   double in[N], out[2];
 
-  observation_peer(const kg_bench_ba *data, bool replays, bool loss)
-      : peer(replays), ba(data), is_replayed(replays), is_loss(loss)
+  observation_peer(const kg_bench_ba *data, bool replays)
+      : peer(replays), ba(data), is_replayed(replays)
   {
     if (is_replayed) {
       kg_bench_ba_inputs(ba, ba->theta, 0, in);
@@ -221,15 +230,8 @@ struct observation_peer : peer {
       } else {
         observe(residual, x, x + KG_BENCH_BA_CAMERA, x[N - 1], feature);
       }
-      if (is_loss) {
-        adouble weight_residual = 1.0 - x[N - 1] * x[N - 1];
-        adouble loss = 0.5 * (residual[0] * residual[0] + residual[1] * residual[1] +
-                              weight_residual * weight_residual);
-        loss >>= out[0];
-      } else {
-        residual[0] >>= out[0];
-        residual[1] >>= out[1];
-      }
+      residual[0] >>= out[0];
+      residual[1] >>= out[1];
     }
     trace_off();
   }
@@ -239,16 +241,10 @@ struct observation_peer : peer {
     kg_bench_ba_inputs(ba, ba->theta, i, in);
     if (is_replayed) {
       set_param_vec(tag, 2, ba->feature + 2 * (size_t)i);
-      zos_forward(tag, is_loss ? 1 : 2, N, 1, in, out);
+      zos_forward(tag, 2, N, 1, in, out);
     } else {
       record(i, true);
     }
-  }
-};
-
-struct jacobian_peer : observation_peer {
-  jacobian_peer(const kg_bench_ba *data, bool replays) : observation_peer(data, replays, false)
-  {
   }
 
   void run(double *answer) override
@@ -256,6 +252,9 @@ struct jacobian_peer : observation_peer {
     double unit[2][2] = {{1.0, 0.0}, {0.0, 1.0}};
     double *U[2] = {unit[0], unit[1]};
     double *weights = answer + (size_t)ba->p * 2 * N;
+    if (!is_replayed) {
+      empty_store();
+    }
     for (int i = 0; i < ba->p; i++) {
       double *J = answer + (size_t)i * 2 * N;
       double *rows[2] = {J, J + N};
@@ -266,43 +265,87 @@ struct jacobian_peer : observation_peer {
   }
 };
 
-struct loss_replayed_peer : observation_peer {
-  explicit loss_replayed_peer(const kg_bench_ba *data) : observation_peer(data, true, true)
+// A tape of all observations, each with 15 inputs of its own: two reverse seeds, one that chooses all
+// first residuals and one all second ones, give the whole Jacobian in one sweep.
+struct jacobian_peer : peer {
+  const kg_bench_ba *ba;
+  bool is_replayed;
+  std::vector<double> in, out, first, second, rows[2];
+
+  jacobian_peer(const kg_bench_ba *data, bool replays)
+      : peer(replays), ba(data), is_replayed(replays), in((size_t)ba->p * N),
+        out(2 * (size_t)ba->p), first(out.size()), second(out.size()), rows{in, in}
   {
+    for (int i = 0; i < ba->p; i++) {
+      first[2 * (size_t)i] = 1.0;
+      second[2 * (size_t)i + 1] = 1.0;
+    }
+    if (is_replayed) {
+      load();
+      record(false);
+    }
+  }
+
+  void load()
+  {
+    for (int i = 0; i < ba->p; i++) {
+      kg_bench_ba_inputs(ba, ba->theta, i, &in[(size_t)i * N]);
+    }
+  }
+
+  void record(bool keeps_values)
+  {
+    start_tape(tag, keeps_values, (size_t)ba->p * OPERATIONS);
+    for (int i = 0; i < ba->p; i++) {
+      adouble x[N], residual[2];
+      for (int j = 0; j < N; j++) {
+        x[j] <<= in[(size_t)i * N + j];
+      }
+      observe(residual, x, x + KG_BENCH_BA_CAMERA, x[N - 1], ba->feature + 2 * (size_t)i);
+      residual[0] >>= out[2 * (size_t)i];
+      residual[1] >>= out[2 * (size_t)i + 1];
+    }
+    trace_off();
   }
 
   void run(double *answer) override
   {
-    double *gradient = answer + 1, one = 1.0;
-    std::memset(answer, 0, (1 + (size_t)ba->parameter_count) * sizeof *answer);
+    const int inputs = ba->p * N, outputs = 2 * ba->p;
+    double *U[2] = {first.data(), second.data()}, *Z[2] = {rows[0].data(), rows[1].data()};
+    double *weights = answer + (size_t)ba->p * 2 * N;
+    load();
+    if (is_replayed) {
+      zos_forward(tag, outputs, inputs, 1, in.data(), out.data());
+    } else {
+      empty_store();
+      record(true);
+    }
+    fov_reverse(tag, outputs, inputs, 2, U, Z);
     for (int i = 0; i < ba->p; i++) {
-      double g[N];
-      forward(i);
-      fos_reverse(tag, 1, N, &one, g);
-      answer[0] += out[0];
-      double *camera = gradient + ba->camera[i] * KG_BENCH_BA_CAMERA;
-      double *point = gradient + (size_t)ba->n * KG_BENCH_BA_CAMERA + ba->point[i] * 3;
-      for (int j = 0; j < KG_BENCH_BA_CAMERA; j++) {
-        camera[j] += g[j];
+      for (int row = 0; row < 2; row++) {
+        std::memcpy(answer + ((size_t)i * 2 + row) * N, Z[row] + (size_t)i * N, N * sizeof *answer);
       }
-      for (int j = 0; j < 3; j++) {
-        point[j] += g[KG_BENCH_BA_CAMERA + j];
-      }
-      gradient[(size_t)ba->n * KG_BENCH_BA_CAMERA + (size_t)ba->m * 3 + i] = g[N - 1];
+      weights[i] = -2.0 * in[(size_t)i * N + N - 1]; // not worth a tape
     }
   }
 };
 
-// The whole sum on one tape, recorded for every gradient.
-struct loss_retaped_peer : peer {
+// The whole sum on one tape.
+struct loss_peer : peer {
   const kg_bench_ba *ba;
-  explicit loss_retaped_peer(const kg_bench_ba *data) : peer(false), ba(data)
+  bool is_replayed;
+  double loss = 0.0;
+
+  loss_peer(const kg_bench_ba *data, bool replays) : peer(replays), ba(data), is_replayed(replays)
   {
+    if (is_replayed) {
+      record(false);
+    }
   }
 
-  void run(double *answer) override
+  void record(bool keeps_values)
   {
-    start_tape(tag, true, (size_t)ba->p * 120 + (size_t)ba->parameter_count);
+    start_tape(tag, keeps_values, (size_t)ba->p * OPERATIONS + (size_t)ba->parameter_count);
     {
       adoubles theta(ba->parameter_count);
       for (int i = 0; i < ba->parameter_count; i++) {
@@ -319,11 +362,22 @@ struct loss_retaped_peer : peer {
           residual[0] * residual[0] + residual[1] * residual[1] + weight_residual * weight_residual;
       }
       sum *= 0.5;
-      sum >>= answer[0];
+      sum >>= loss;
     }
     trace_off();
+  }
+
+  void run(double *answer) override
+  {
     double one = 1.0;
+    if (is_replayed) {
+      zos_forward(tag, 1, ba->parameter_count, 1, ba->theta, &loss);
+    } else {
+      empty_store();
+      record(true);
+    }
     fos_reverse(tag, 1, ba->parameter_count, &one, answer + 1);
+    answer[0] = loss;
   }
 };
 
@@ -451,6 +505,9 @@ struct net_peer : peer {
   {
     const int n = net->parameter_count;
     double one = 1.0;
+    if (!is_replayed) {
+      empty_store();
+    }
     std::memset(answer, 0, (1 + (size_t)n) * sizeof *answer);
     for (int b = 0; b < net->batch; b++) {
       load(b);
@@ -515,14 +572,24 @@ kg_status kg_adolc_ba_jacobian_replayed(void **state, const void *data, const kg
   return make<jacobian_peer>(state, ba_of(data), true);
 }
 
+kg_status kg_adolc_ba_observation_retaped(void **state, const void *data, const kg_allocator *)
+{
+  return make<observation_peer>(state, ba_of(data), false);
+}
+
+kg_status kg_adolc_ba_observation_replayed(void **state, const void *data, const kg_allocator *)
+{
+  return make<observation_peer>(state, ba_of(data), true);
+}
+
 kg_status kg_adolc_ba_loss_retaped(void **state, const void *data, const kg_allocator *)
 {
-  return make<loss_retaped_peer>(state, ba_of(data));
+  return make<loss_peer>(state, ba_of(data), false);
 }
 
 kg_status kg_adolc_ba_loss_replayed(void **state, const void *data, const kg_allocator *)
 {
-  return make<loss_replayed_peer>(state, ba_of(data));
+  return make<loss_peer>(state, ba_of(data), true);
 }
 
 kg_status kg_adolc_net_retaped(void **state, const void *data, const kg_allocator *)
