@@ -1,4 +1,5 @@
-/* Reductions and linear combinations: shapes checked, kernels told the sizes (kernels/reductions.inc). */
+/* Reductions and linear combinations: shapes checked, kernels told the sizes
+ * (kernels/reductions.inc). */
 #include "autodiff/attributes.h"
 #include "autodiff/tape.h"
 

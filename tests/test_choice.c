@@ -47,7 +47,7 @@ static void where_equals_complex_steps(void **state)
     }
     const kg_value mask = kg_less(tape, v[0], kg_constant_scalar(tape, 0));
     const kg_value y = kg_where(tape, mask, v[1], v[2]);
-    check_operator(tape, 3, v, y, &random, 1e-15);
+    check_operator(tape, 3, v, y, &random, 1e-13);
     check_lanes(tape, y, &random);
     kg_tape_destroy(tape);
   }
