@@ -31,10 +31,27 @@ static kg_value refuse_shapes(kg_tape *tape, kg_op op, kg_shape a, kg_shape b, c
 
 /* -- products ---------------------------------------------------------------------------------- */
 
+/* Many rows times one small matrix: in blocks of rows that stay in the nearest cache while bias,
+ * product and its adjoints pass over them. Where the number of rows allows no such block, in one. */
+static void divide_rows(kg_product *p)
+{
+  enum { SMALL = 8192, FEWEST = 32, MOST = 96 };
+  if (p->k * p->n > SMALL || p->m <= MOST) return;
+  for (size_t rows = MOST; rows >= FEWEST; --rows) {
+    if (p->m % rows) continue;
+    p->batch = p->m / rows;
+    p->m = rows;
+    p->step_a = rows * p->k;
+    p->step_b = 0;
+    return;
+  }
+}
+
 static kg_value record_product(kg_tape *tape, kg_op op, int count, const kg_value *operands,
                                kg_shape shape, kg_product *product)
 {
-  if (product->batch == 1 && product->m > INT32_MAX) { /* what BLAS can count */
+  if (product->batch == 1 && !product->transposed_a) divide_rows(product);
+  if (product->m > INT32_MAX) { /* what BLAS can count */
     return kg_refuse(tape, KG_ERR_UNSUPPORTED, kg_op_name(op), "more than 2^31 rows");
   }
   return kg_record(tape, &(kg_recipe){.op = op,

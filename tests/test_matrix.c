@@ -67,7 +67,11 @@ static const struct product_case {
                 {{2, {4, 3}}, {3, {2, 5, 4}}, KG_TRANSPOSE_A | KG_TRANSPOSE_B},
                 {{2, {1, 1}}, {2, {1, 1}}, 0},
                 {{2, {1, 30}}, {2, {30, 1}}, 0},
-                {{2, {33, 20}}, {2, {20, 17}}, 0}};
+                {{2, {33, 20}}, {2, {20, 17}}, 0},
+                {{3, {4, 50, 6}}, {2, {6, 5}}, 0}, /* many rows: in blocks */
+                {{3, {1, 128, 6}}, {3, {1, 5, 6}}, KG_TRANSPOSE_B},
+                {{2, {101, 6}}, {2, {6, 5}}, 0}, /* which 101 does not divide into */
+                {{2, {6, 128}}, {2, {6, 5}}, KG_TRANSPOSE_A}};
 
 static void products_are_sums_of_products(void **state)
 {
@@ -93,7 +97,7 @@ static void products_are_sums_of_products(void **state)
 static void affine_adds_the_bias_to_every_row(void **state)
 {
   (void)state;
-  static const kg_shape shapes[] = {{1, {6}}, {2, {5, 6}}, {3, {2, 3, 6}}};
+  static const kg_shape shapes[] = {{1, {6}}, {2, {5, 6}}, {3, {2, 3, 6}}, {2, {192, 6}}};
   kg_random random = kg_random_make(2);
   for (size_t c = 0; c < KG_COUNT_OF(shapes); ++c) {
     for (int biased = 0; biased < 2; ++biased) {
