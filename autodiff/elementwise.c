@@ -9,13 +9,15 @@
 
 /* -- scalars ----------------------------------------------------------------------------------- */
 
-static kg_value push_scalar(kg_tape *tape, kg_op op, kg_value a, kg_value b, double y, double by_a,
-                            double by_b)
+static kg_value push_grown(kg_tape *tape, kg_op op, kg_value a, kg_value b, double y, double by_a,
+                           double by_b) __attribute__((noinline));
+
+/* The shortest path: everything that calls a function is elsewhere, so that nothing is saved or restored. */
+static inline kg_value push_scalar(kg_tape *tape, kg_op op, kg_value a, kg_value b, double y,
+                                   double by_a, double by_b)
 {
   kg_graph *graph = &tape->graph;
-  if (graph->count == graph->capacity && !kg_graph_reserve(graph)) {
-    return kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory");
-  }
+  if (graph->count == graph->capacity) return push_grown(tape, op, a, b, y, by_a, by_b);
   kg_node *node = &graph->node[graph->count];
   node->is.value = y;
   node->partial[0] = by_a;
@@ -24,8 +26,17 @@ static kg_value push_scalar(kg_tape *tape, kg_op op, kg_value a, kg_value b, dou
   node->input[1] = b.id;
   node->op = (uint16_t)op;
   node->is_block = false;
-  node->active = graph->node[a.id].active || graph->node[b.id].active;
+  node->active = graph->node[a.id].active | graph->node[b.id].active;
   return (kg_value){graph->count++};
+}
+
+static kg_value push_grown(kg_tape *tape, kg_op op, kg_value a, kg_value b, double y, double by_a,
+                           double by_b)
+{
+  if (!kg_graph_reserve(&tape->graph)) {
+    return kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory");
+  }
+  return push_scalar(tape, op, a, b, y, by_a, by_b);
 }
 
 static inline double scalar_value(const kg_tape *tape, kg_value a)
@@ -143,12 +154,23 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
 
 /* -- the operators ----------------------------------------------------------------------------- */
 
+static __attribute__((noinline)) kg_value record_unary(kg_tape *tape, kg_op op, kg_value a, double p)
+{
+  return kg_record_elementwise(tape, op, 1, &a, p, 0, false);
+}
+
+static __attribute__((noinline)) kg_value record_binary(kg_tape *tape, kg_op op, kg_value a, kg_value b)
+{
+  const kg_value operands[2] = {a, b};
+  return kg_record_elementwise(tape, op, 2, operands, 0, 0, false);
+}
+
 /* a scalar's constant p is kept where a second operand's partial would be */
 #define UNARY_SCALAR(name, value_rule, slope_rule)                                                 \
   static kg_value record_##name(kg_tape *tape, kg_value operand, double p)                         \
   {                                                                                                \
     if (!kg_is_scalar_node(operand)) {                                                             \
-      return kg_record_elementwise(tape, kg_op_##name, 1, &operand, p, 0, false);                  \
+      return record_unary(tape, kg_op_##name, operand, p);                                         \
     }                                                                                              \
     const double a = scalar_value(tape, operand), y = value_rule;                                  \
     (void)y;                                                                                       \
@@ -213,8 +235,7 @@ kg_value kg_clamp(kg_tape *tape, kg_value a, double low, double high)
   kg_value kg_##name(kg_tape *tape, kg_value first, kg_value second)                               \
   {                                                                                                \
     if (!kg_is_scalar_node(first) || !kg_is_scalar_node(second)) {                                 \
-      const kg_value operands[2] = {first, second};                                                \
-      return kg_record_elementwise(tape, kg_op_##name, 2, operands, 0, 0, false);                  \
+      return record_binary(tape, kg_op_##name, first, second);                                     \
     }                                                                                              \
     const double a = scalar_value(tape, first), b = scalar_value(tape, second), y = value_rule;    \
     return push_scalar(tape, kg_op_##name, first, second, y, slope_a, slope_b);                    \

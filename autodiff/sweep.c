@@ -94,8 +94,10 @@ static size_t stride_of(const kg_graph *graph, uint32_t id)
   return id & KG_TENSOR ? node->is.block->size * graph->lanes * graph->number : sizeof(double);
 }
 
-static void backward_block(kg_graph *graph, const kg_block *block)
+static void backward_block(kg_graph *graph, const kg_node *node)
 {
+  const kg_block *block = node->is.block;
+  if (!node->active || block->stamp != graph->stamp || !block->count) return;
   const void **in = graph->pointers.memory;
   void **in_adjoint = (void **)(in + graph->widest + 1);
   const kg_call call = kg_block_call(graph, block, in);
@@ -127,33 +129,37 @@ static void backward_element(kg_graph *graph, const kg_node *node, const double 
   }
 }
 
-static inline void backward_scalar(kg_graph *graph, const kg_node *node, double *scalar,
-                                   const size_t directions)
+typedef double pair __attribute__((vector_size(16), aligned(8), may_alias));
+typedef int64_t pair_mask __attribute__((vector_size(16)));
+
+/* adds partial adjoint, nothing where the adjoint is zero: two directions at once, without branches */
+static inline void add_terms(double *to, double partial, const double *adjoint, const size_t directions)
 {
-  const double *adjoint = scalar + (size_t)(node - graph->node) * directions;
-  if (node->input[0] & KG_TENSOR) {
-    backward_element(graph, node, adjoint);
-    return;
+  size_t s = 0;
+  for (; s + 2 <= directions; s += 2) {
+    const pair g = *(const pair *)(adjoint + s), term = partial * g;
+    *(pair *)(to + s) += (pair)((pair_mask)(g != 0) & (pair_mask)term);
   }
-  double *first = scalar + node->input[0] * directions;
-  double *second = scalar + node->input[1] * directions;
-  for (size_t s = 0; s < directions; ++s) {
-    if (adjoint[s] != 0) {
-      first[s] += node->partial[0] * adjoint[s];
-      second[s] += node->partial[1] * adjoint[s];
-    }
-  }
+  if (s < directions && adjoint[s] != 0) to[s] += partial * adjoint[s];
 }
 
-static inline void backward(kg_graph *graph, uint32_t last, const size_t directions)
+/* From node `last` to node `first` backwards; directions is a number known to the compiler, or not. */
+static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint32_t last,
+                                                           const size_t directions)
 {
   double *scalar = graph->scalar.memory;
   for (uint32_t i = graph->swept - 1; i >= last && i > 0; --i) {
     const kg_node *node = &graph->node[i];
-    if (!node->is_block) {
-      backward_scalar(graph, node, scalar, directions);
-    } else if (node->active && node->is.block->stamp == graph->stamp && node->is.block->count) {
-      backward_block(graph, node->is.block);
+    const double *adjoint = scalar + i * directions;
+    if (node->is_block) {
+      backward_block(graph, node);
+    } else if (node->input[0] & KG_TENSOR) {
+      backward_element(graph, node, adjoint);
+    } else {
+      add_terms(scalar + node->input[0] * directions, node->partial[0], adjoint, directions);
+      if (node->input[1]) {
+        add_terms(scalar + node->input[1] * directions, node->partial[1], adjoint, directions);
+      }
     }
   }
 }

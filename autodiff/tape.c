@@ -408,8 +408,13 @@ static kg_value scalar_leaf(kg_tape *tape, kg_op op, double x)
   if (!kg_graph_reserve(graph)) {
     return kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory");
   }
-  graph->node[graph->count] =
-    (kg_node){.is.value = x, .op = (uint16_t)op, .active = op == kg_op_input};
+  kg_node *node = &graph->node[graph->count];
+  node->is.value = x;
+  node->partial[0] = node->partial[1] = 0;
+  node->input[0] = node->input[1] = 0;
+  node->op = (uint16_t)op;
+  node->is_block = false;
+  node->active = op == kg_op_input;
   return (kg_value){graph->count++};
 }
 
