@@ -27,10 +27,18 @@ void kg_add_numbers(const kg_tape *tape, kg_value value, void *to, const double 
 
 void kg_copy_numbers(const kg_tape *tape, kg_value value, const void *from, double *to, size_t n)
 {
-  for (size_t i = 0; i < n; ++i) {
-    to[i] = !from                    ? 0
-            : is_double(tape, value) ? ((const double *)from)[i]
-                                     : (double)((const float *)from)[i];
+  if (!from) {
+    memset(to, 0, n * sizeof *to);
+  } else if (is_double(tape, value)) {
+    const double *x = from;
+    for (size_t i = 0; i < n; ++i) {
+      to[i] = x[i];
+    }
+  } else {
+    const float *x = from;
+    for (size_t i = 0; i < n; ++i) {
+      to[i] = (double)x[i];
+    }
   }
 }
 
@@ -160,8 +168,15 @@ kg_status kg_vjp(kg_tape *tape, int directions, int output_count, const kg_value
   }
   kg_sweep_backward(&tape->graph, oldest(input_count, inputs) + 1);
   for (int i = 0; i < input_count; ++i) {
-    kg_copy_numbers(tape, inputs[i], kg_sweep_result(&tape->graph, inputs[i].id), results[i],
-                    (size_t)directions * kg_size_of(tape, inputs[i]));
+    if (kg_is_scalar_node(inputs[i])) {
+      const double *adjoint = kg_scalar_adjoint(&tape->graph, inputs[i].id);
+      for (int s = 0; s < directions; ++s) {
+        results[i][s] = adjoint[s];
+      }
+    } else {
+      kg_copy_numbers(tape, inputs[i], kg_sweep_result(&tape->graph, inputs[i].id), results[i],
+                      (size_t)directions * kg_size_of(tape, inputs[i]));
+    }
   }
   return tape->error.status;
 }

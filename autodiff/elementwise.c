@@ -154,12 +154,14 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
 
 /* -- the operators ----------------------------------------------------------------------------- */
 
-static __attribute__((noinline)) kg_value record_unary(kg_tape *tape, kg_op op, kg_value a, double p)
+static __attribute__((noinline)) kg_value record_unary(kg_tape *tape, kg_op op, kg_value a,
+                                                       double p)
 {
   return kg_record_elementwise(tape, op, 1, &a, p, 0, false);
 }
 
-static __attribute__((noinline)) kg_value record_binary(kg_tape *tape, kg_op op, kg_value a, kg_value b)
+static __attribute__((noinline)) kg_value record_binary(kg_tape *tape, kg_op op, kg_value a,
+                                                        kg_value b)
 {
   const kg_value operands[2] = {a, b};
   return kg_record_elementwise(tape, op, 2, operands, 0, 0, false);

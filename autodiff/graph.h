@@ -128,6 +128,11 @@ kg_status kg_sweep_begin(kg_graph *graph, int directions);
 void *kg_sweep_seed(kg_graph *graph, uint32_t id);
 /* The same, NULL when untouched. */
 void *kg_sweep_result(const kg_graph *graph, uint32_t id);
+/* Of an active scalar: (directions). */
+static inline double *kg_scalar_adjoint(const kg_graph *graph, uint32_t id)
+{
+  return (double *)graph->scalar.memory + (size_t)id * (size_t)graph->directions;
+}
 /* From the newest node down to node `last`; or from node `first` up to the newest. */
 void kg_sweep_backward(kg_graph *graph, uint32_t last);
 void kg_sweep_forward(kg_graph *graph, uint32_t first);

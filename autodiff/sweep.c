@@ -66,7 +66,7 @@ void *kg_sweep_seed(kg_graph *graph, uint32_t id)
   const kg_node *node = &graph->node[kg_index(id)];
   if (!node->active) return NULL;
   if (!(id & KG_TENSOR)) {
-    return (double *)graph->scalar.memory + (size_t)id * (size_t)graph->directions;
+    return kg_scalar_adjoint(graph, id);
   }
   kg_block *block = node->is.block;
   void *adjoint = block_adjoint(graph, block);
@@ -82,7 +82,7 @@ void *kg_sweep_result(const kg_graph *graph, uint32_t id)
   const kg_node *node = &graph->node[kg_index(id)];
   if (!node->active || !graph->directions || kg_index(id) >= graph->swept) return NULL;
   if (!(id & KG_TENSOR)) {
-    return (double *)graph->scalar.memory + (size_t)id * (size_t)graph->directions;
+    return kg_scalar_adjoint(graph, id);
   }
   return node->is.block->stamp == graph->stamp ? block_adjoint(graph, node->is.block) : NULL;
 }
@@ -133,7 +133,8 @@ typedef double pair __attribute__((vector_size(16), aligned(8), may_alias));
 typedef int64_t pair_mask __attribute__((vector_size(16)));
 
 /* adds partial adjoint, nothing where the adjoint is zero: two directions at once, without branches */
-static inline void add_terms(double *to, double partial, const double *adjoint, const size_t directions)
+static inline void add_terms(double *to, double partial, const double *adjoint,
+                             const size_t directions)
 {
   size_t s = 0;
   for (; s + 2 <= directions; s += 2) {
@@ -143,7 +144,18 @@ static inline void add_terms(double *to, double partial, const double *adjoint, 
   if (s < directions && adjoint[s] != 0) to[s] += partial * adjoint[s];
 }
 
-/* From node `last` to node `first` backwards; directions is a number known to the compiler, or not. */
+/* leaves, blocks, and entries of tensors that became scalars */
+static __attribute__((noinline)) void backward_other(kg_graph *graph, const kg_node *node,
+                                                     const double *adjoint)
+{
+  if (node->is_block) {
+    backward_block(graph, node);
+  } else if (node->input[0] & KG_TENSOR) {
+    backward_element(graph, node, adjoint);
+  }
+}
+
+/* From the newest node to node `last`; directions is a number known to the compiler, or not. */
 static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint32_t last,
                                                            const size_t directions)
 {
@@ -151,15 +163,13 @@ static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint
   for (uint32_t i = graph->swept - 1; i >= last && i > 0; --i) {
     const kg_node *node = &graph->node[i];
     const double *adjoint = scalar + i * directions;
-    if (node->is_block) {
-      backward_block(graph, node);
-    } else if (node->input[0] & KG_TENSOR) {
-      backward_element(graph, node, adjoint);
-    } else {
-      add_terms(scalar + node->input[0] * directions, node->partial[0], adjoint, directions);
-      if (node->input[1]) {
-        add_terms(scalar + node->input[1] * directions, node->partial[1], adjoint, directions);
-      }
+    if ((int32_t)node->input[0] <= 0) {
+      backward_other(graph, node, adjoint);
+      continue;
+    }
+    add_terms(scalar + node->input[0] * directions, node->partial[0], adjoint, directions);
+    if (node->input[1]) {
+      add_terms(scalar + node->input[1] * directions, node->partial[1], adjoint, directions);
     }
   }
 }

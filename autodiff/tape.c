@@ -405,7 +405,7 @@ static kg_value scalar_leaf(kg_tape *tape, kg_op op, double x)
   if (tape->precision != KG_DOUBLE) return leaf_f64(tape, op, KG_SCALAR_SHAPE, &x);
   kg_graph *graph = &tape->graph;
   if (tape->error.status != KG_OK) return (kg_value){0};
-  if (!kg_graph_reserve(graph)) {
+  if (graph->count == graph->capacity && !kg_graph_reserve(graph)) {
     return kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(op), "no memory");
   }
   kg_node *node = &graph->node[graph->count];
