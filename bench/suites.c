@@ -17,6 +17,6 @@ const int kg_bench_suite_count = (int)KG_COUNT_OF(kg_bench_suites);
 const char *const kg_bench_build[] = {
   "compiler     " KG_BENCH_COMPILER,
   "library      " KG_BENCH_LIBRARY_FLAGS,
-  "plain C      " KG_BENCH_PLAIN_FLAGS,
+  "plain C      -O3 or -O2 as its name says, " KG_BENCH_PLAIN_FLAGS,
   NULL,
 };
