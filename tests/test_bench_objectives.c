@@ -173,6 +173,12 @@ static void ba_without_rotation_is_a_pinhole_camera(void **state)
     assert_close(plain[i], expected[i], 1e-15);
     assert_close(independent[i], expected[i], 1e-15);
   }
+  /* where the feature is met, what is left of the loss is 1/2 (1 - w^2)^2 */
+  ba->feature[0] = d + 1.0, ba->feature[1] = 2.0 * d - 1.0;
+  double gradient[15];
+  kg_bench_ba_reference(ba, ba->theta, NULL, NULL, gradient);
+  assert_close(gradient[14], -2.0 * 3.0 * (1.0 - 9.0), 1e-14);
+  assert_close(kg_bench_ba_loss(ba, ba->theta), 32.0, 1e-14);
   kg_bench_ba_destroy(ba);
 }
 
