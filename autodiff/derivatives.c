@@ -103,7 +103,7 @@ kg_status kg_backward(kg_tape *tape, kg_value output)
   }
   seed_with_ones(tape, output);
   kg_sweep_backward(&tape->graph, 1);
-  return tape->error.status;
+  return kg_sweep_status(tape);
 }
 
 static const void *adjoint_of(kg_tape *tape, kg_value value, bool wants_double)
@@ -178,7 +178,7 @@ kg_status kg_vjp(kg_tape *tape, int directions, int output_count, const kg_value
                       (size_t)directions * kg_size_of(tape, inputs[i]));
     }
   }
-  return tape->error.status;
+  return kg_sweep_status(tape);
 }
 
 /* -- forward ----------------------------------------------------------------------------------- */
@@ -203,5 +203,5 @@ kg_status kg_jvp(kg_tape *tape, int directions, int input_count, const kg_value 
     kg_copy_numbers(tape, outputs[o], kg_sweep_result(&tape->graph, outputs[o].id), results[o],
                     (size_t)directions * kg_size_of(tape, outputs[o]));
   }
-  return tape->error.status;
+  return kg_sweep_status(tape);
 }

@@ -63,6 +63,8 @@ void kg_graph_release(kg_graph *graph)
   kg_buffer_release(&graph->scalar, graph->allocator);
   kg_buffer_release(&graph->tensor, graph->allocator);
   kg_buffer_release(&graph->pointers, graph->allocator);
+  kg_buffer_release(&graph->scratch, graph->allocator);
+  kg_tape_destroy(graph->child);
 }
 
 size_t kg_shape_size(const kg_shape *shape)
@@ -79,8 +81,8 @@ const char *kg_op_name(kg_op op)
 #define KG_NAME(name, ...) #name,
 #define KG_NAME_TENSOR(name) #name,
   static const char *const names[KG_OP_COUNT] = {"input", "constant", "primitive",
-                                                 KG_UNARY_LIST(KG_NAME) KG_TRIG_LIST(KG_NAME) KG_CLAMP_LIST(KG_NAME)
-                                                   KG_BINARY_LIST(KG_NAME)
+                                                 KG_UNARY_LIST(KG_NAME) KG_TRIG_LIST(KG_NAME)
+                                                   KG_CLAMP_LIST(KG_NAME) KG_BINARY_LIST(KG_NAME)
                                                      KG_TENSOR_LIST(KG_NAME_TENSOR)};
 #undef KG_NAME
 #undef KG_NAME_TENSOR

@@ -24,6 +24,8 @@ static inline uint32_t kg_index(uint32_t id)
   return id & ~KG_TENSOR;
 }
 
+typedef struct kg_graph kg_graph;
+
 /* What a kernel is given. Sizes and strides it needs are in the attributes. */
 typedef struct kg_call {
   const void *attributes; /* of the operator */
@@ -32,7 +34,8 @@ typedef struct kg_call {
   int count;             /* operands */
   const void *const *in; /* (count) */
   void *out;
-  void *saved; /* numbers kept from forward for the other two, and their scratch */
+  void *saved;     /* numbers kept from forward for the other two, and their scratch */
+  kg_graph *graph; /* for primitives, which need more: its arithmetic, scratch, child */
 } kg_call;
 
 typedef struct kg_kernel {
@@ -77,7 +80,7 @@ typedef struct kg_buffer {
   size_t bytes;
 } kg_buffer;
 
-typedef struct kg_graph {
+struct kg_graph {
   const kg_allocator *allocator;
   const kg_kernel *kernels; /* by operator, of the graph's arithmetic */
   size_t number;            /* bytes of one number: 4 float, 8 double, 16 complex */
@@ -88,13 +91,18 @@ typedef struct kg_graph {
   int widest;          /* most operands of a block */
   /* sweeps */
   uint32_t stamp;
-  int directions;   /* of the last sweep; 0: none */
-  uint32_t swept;   /* nodes there were */
-  kg_buffer scalar; /* (count, directions) doubles */
-  kg_buffer
-    tensor; /* (adjoint_size, directions, lanes) numbers, directions slower within a block */
+  int directions;     /* of the last sweep; 0: none */
+  uint32_t swept;     /* nodes there were */
+  kg_buffer scalar;   /* (count, directions) doubles */
+  kg_buffer tensor;   /* (adjoint_size, directions, lanes) numbers, a block's directions slowest */
   kg_buffer pointers; /* (2, widest) */
-} kg_graph;
+  /* primitives (primitive.h) */
+  kg_tape *child;     /* where they record; NULL until one does */
+  kg_buffer scratch;  /* of the one at work */
+  const char *detail; /* text of the last failure, NULL: that of its status */
+  kg_status status;   /* first failure within the last sweep */
+  uint32_t failed;    /* its node */
+};
 
 kg_status kg_graph_init(kg_graph *graph, const kg_allocator *allocator);
 void kg_graph_release(kg_graph *graph);
@@ -113,6 +121,15 @@ static inline const void *kg_node_data(const kg_graph *graph, uint32_t id)
 }
 
 size_t kg_shape_size(const kg_shape *shape);
+
+/* "matmul"; of a primitive its own name. attributes: of a block. */
+const char *kg_operator_name(kg_op op, const void *attributes);
+const char *kg_node_name(const kg_node *node);
+
+/* Primitives of any arithmetic (primitive.c). */
+kg_status kg_primitive_forward(const kg_call *call);
+void kg_primitive_vjp(const kg_call *call, const void *adjoint, void *const *in_adjoint);
+void kg_primitive_jvp(const kg_call *call, const void *const *in_tangent, void *tangent);
 
 /* -- sweeps (sweep.c) -------------------------------------------------------------------------- */
 
@@ -133,11 +150,12 @@ static inline double *kg_scalar_adjoint(const kg_graph *graph, uint32_t id)
 {
   return (double *)graph->scalar.memory + (size_t)id * (size_t)graph->directions;
 }
-/* From the newest node down to node `last`; or from node `first` up to the newest. */
+/* From the newest node down to node `last`; or from node `first` up to the newest. A primitive that
+ * fails ends the sweep: graph->status, failed and detail say so. */
 void kg_sweep_backward(kg_graph *graph, uint32_t last);
 void kg_sweep_forward(kg_graph *graph, uint32_t first);
 /* What the kernels of one block are called with; in has room for its operands. */
-kg_call kg_block_call(const kg_graph *graph, const kg_block *block, const void **in);
+kg_call kg_block_call(kg_graph *graph, const kg_block *block, const void **in);
 
 /* -- kernels (kernels/) ------------------------------------------------------------------------ */
 

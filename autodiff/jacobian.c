@@ -44,6 +44,7 @@ static kg_status sweep_units(kg_tape *tape, kg_value from, kg_value to, bool bac
   } else {
     kg_sweep_forward(&tape->graph, kg_index(from.id));
   }
+  if (kg_sweep_status(tape) != KG_OK) return tape->error.status;
   const void *result = kg_sweep_result(&tape->graph, to.id);
   for (size_t s = 0; s < directions; ++s) {
     for (size_t e = 0; e < m; ++e) {
@@ -191,6 +192,7 @@ static kg_status sweep_colours(kg_tape *tape, kg_value output, kg_value input,
     if (s >= 0 && s < directions) add_one(tape, input, seed, (size_t)s * n + j);
   }
   kg_sweep_forward(&tape->graph, kg_index(input.id));
+  if (kg_sweep_status(tape) != KG_OK) return tape->error.status;
   const void *result = kg_sweep_result(&tape->graph, output.id);
   for (size_t r = 0; r < m; ++r) {
     for (int32_t k = pattern->start[r]; k < pattern->start[r + 1]; ++k) {

@@ -22,7 +22,9 @@ kg_program_info kg_program_describe(const kg_program *program)
   kg_program_info info = program->info;
   info.bytes = sizeof *program + kg_arena_bytes(&program->arena) +
                graph->capacity * sizeof *graph->node + graph->scalar.bytes + graph->tensor.bytes +
-               graph->pointers.bytes + program->seed.memory.bytes + program->tangent.memory.bytes;
+               graph->pointers.bytes + graph->scratch.bytes +
+               (graph->child ? kg_tape_bytes(graph->child) : 0) + program->seed.memory.bytes +
+               program->tangent.memory.bytes;
   return info;
 }
 
@@ -68,7 +70,7 @@ static size_t stale_lane(const kg_program *program, const kg_block *block)
   const size_t number = program->graph.number;
   char operand[2][16], out[16];
   const void *in[2] = {operand[0], operand[1]};
-  kg_call call = {block->attributes, block->size, 1, block->count, in, out, NULL};
+  kg_call call = {block->attributes, block->size, 1, block->count, in, out, NULL, NULL};
   for (size_t lane = 0; lane < program->graph.lanes; ++lane) {
     for (int k = 0; k < 2; ++k) {
       const char *data = block_of(program, block->input[k])->data;
@@ -93,7 +95,8 @@ static kg_status fail_at(kg_program *program, uint32_t index, kg_status status)
   const kg_block *block = node->is.block;
   const char *tag = program->tag[index];
   if (status != KG_ERR_STALE) {
-    return fail(program, status, kg_op_name((kg_op)node->op), tag, kg_status_text(status));
+    const char *detail = program->graph.detail;
+    return fail(program, status, kg_node_name(node), tag, detail ? detail : kg_status_text(status));
   }
   const kg_op a = (kg_op)program->graph.node[kg_index(block->input[0])].op;
   const kg_op b = (kg_op)program->graph.node[kg_index(block->input[1])].op;
@@ -193,6 +196,13 @@ static kg_status begin_sweep(kg_program *program, const kg_port *port, const uin
 
 /* -- sweeps ------------------------------------------------------------------------------------ */
 
+/* a primitive's failure within a sweep */
+static kg_status finish_sweep(kg_program *program)
+{
+  const kg_graph *graph = &program->graph;
+  return graph->status == KG_OK ? KG_OK : fail_at(program, graph->failed, graph->status);
+}
+
 kg_status kg_program_backward(kg_program *program, int directions)
 {
   const kg_status status =
@@ -202,7 +212,7 @@ kg_status kg_program_backward(kg_program *program, int directions)
   for (int i = 0; i < program->info.inputs; ++i) {
     kg_sweep_seed(&program->graph, program->input[i]); /* zero where no seed led to */
   }
-  return KG_OK;
+  return finish_sweep(program);
 }
 
 /* Every value that is asked for has a place, those without derivative too. */
@@ -231,7 +241,7 @@ kg_status kg_program_forward(kg_program *program, int directions)
       memset(place(program, id), 0, block_of(program, id)->size * entry_bytes(program, directions));
     }
   }
-  return KG_OK;
+  return finish_sweep(program);
 }
 
 const void *kg_program_output_tangent(const kg_program *program, int o)

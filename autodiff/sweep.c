@@ -9,7 +9,7 @@
 
 #include <string.h>
 
-kg_call kg_block_call(const kg_graph *graph, const kg_block *block, const void **in)
+kg_call kg_block_call(kg_graph *graph, const kg_block *block, const void **in)
 {
   for (int i = 0; i < block->count; ++i) {
     in[i] = kg_node_data(graph, block->input[i]);
@@ -20,7 +20,8 @@ kg_call kg_block_call(const kg_graph *graph, const kg_block *block, const void *
                    .count = block->count,
                    .in = in,
                    .out = block->data,
-                   .saved = block->saved};
+                   .saved = block->saved,
+                   .graph = graph};
 }
 
 bool kg_graph_reserve_pointers(kg_graph *graph)
@@ -33,6 +34,7 @@ kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node)
 {
   kg_block *block = node->is.block;
   if (!block->kernel->forward) return KG_OK; /* input or constant */
+  graph->detail = NULL;
   if (!kg_graph_reserve_pointers(graph)) return KG_ERR_NO_MEMORY;
   const kg_call call = kg_block_call(graph, block, graph->pointers.memory);
   return block->kernel->forward(&call);
@@ -42,6 +44,8 @@ kg_status kg_sweep_begin(kg_graph *graph, int directions)
 {
   const size_t s = (size_t)directions;
   graph->directions = 0;
+  graph->status = KG_OK;
+  graph->detail = NULL;
   if (!kg_buffer_reserve(&graph->scalar, graph->allocator, graph->count * s * sizeof(double)) ||
       !kg_buffer_reserve(&graph->tensor, graph->allocator,
                          graph->adjoint_size * s * graph->lanes * graph->number) ||
@@ -112,6 +116,7 @@ static void backward_block(kg_graph *graph, const kg_node *node)
       if (in_adjoint[i]) in_adjoint[i] = (char *)in_adjoint[i] + stride_of(graph, block->input[i]);
     }
   }
+  graph->failed = (uint32_t)(node - graph->node);
 }
 
 /* an entry of a tensor became a scalar; the tensor is not touched for nothing */
@@ -165,6 +170,7 @@ static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint
     const double *adjoint = scalar + i * directions;
     if ((int32_t)node->input[0] <= 0) {
       backward_other(graph, node, adjoint);
+      if (graph->status != KG_OK) return;
       continue;
     }
     add_terms(scalar + node->input[0] * directions, node->partial[0], adjoint, directions);
@@ -200,11 +206,11 @@ static bool gather_tangents(const kg_graph *graph, const kg_block *block, const 
   return any;
 }
 
-static void forward_block(kg_graph *graph, uint32_t index)
+static bool forward_block(kg_graph *graph, uint32_t index)
 {
   const kg_block *block = graph->node[index].is.block;
   const void **in = graph->pointers.memory, **in_tangent = in + graph->widest + 1;
-  if (!gather_tangents(graph, block, in_tangent)) return;
+  if (!gather_tangents(graph, block, in_tangent)) return true;
   const kg_call call = kg_block_call(graph, block, in);
   char *tangent = kg_sweep_seed(graph, index | KG_TENSOR);
   for (int s = 0; s < graph->directions; ++s) {
@@ -216,6 +222,8 @@ static void forward_block(kg_graph *graph, uint32_t index)
       }
     }
   }
+  graph->failed = index;
+  return graph->status == KG_OK;
 }
 
 static void forward_element(const kg_graph *graph, const kg_node *node, double *tangent)
@@ -251,7 +259,7 @@ void kg_sweep_forward(kg_graph *graph, uint32_t first)
     const kg_node *node = &graph->node[i];
     if (!node->active || node->op == kg_op_input) continue;
     if (node->is_block) {
-      forward_block(graph, i);
+      if (!forward_block(graph, i)) return;
     } else {
       forward_scalar(graph, node);
     }

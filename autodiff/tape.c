@@ -43,7 +43,6 @@ static void free_tags(kg_tape *tape)
 void kg_tape_destroy(kg_tape *tape)
 {
   if (!tape) return;
-  kg_tape_destroy(tape->child);
   const kg_allocator *allocator = tape->graph.allocator;
   free_tags(tape);
   kg_graph_release(&tape->graph);
@@ -67,6 +66,7 @@ void kg_tape_rewind(kg_tape *tape, kg_tape_mark mark)
   tape->tag_count = mark.tags;
   kg_arena_rewind(&tape->arena, (kg_arena_mark){mark.block, mark.used});
   tape->error.status = KG_OK;
+  tape->graph.status = KG_OK;
 }
 
 size_t kg_tape_nodes(const kg_tape *tape)
@@ -78,8 +78,8 @@ size_t kg_tape_bytes(const kg_tape *tape)
 {
   const kg_graph *graph = &tape->graph;
   return sizeof *tape + kg_arena_bytes(&tape->arena) + graph->capacity * sizeof *graph->node +
-         graph->scalar.bytes + graph->tensor.bytes + graph->pointers.bytes +
-         tape->tag_capacity * sizeof *tape->tags + (tape->child ? kg_tape_bytes(tape->child) : 0);
+         graph->scalar.bytes + graph->tensor.bytes + graph->pointers.bytes + graph->scratch.bytes +
+         tape->tag_capacity * sizeof *tape->tags + (graph->child ? kg_tape_bytes(graph->child) : 0);
 }
 
 /* -- errors and tags --------------------------------------------------------------------------- */
@@ -127,6 +127,14 @@ const char *kg_tag_at(const kg_tape *tape, uint32_t node)
   return low ? tape->tags[low - 1].text : NULL;
 }
 
+static void set_error(kg_tape *tape, uint32_t node, kg_status status, const char *name,
+                      const char *text)
+{
+  const char *tag = kg_tag_at(tape, node);
+  kg_fail(&tape->error, status, "", 0, 0, "%s%s%s%s: %.400s", name, tag ? " [" : "", tag ? tag : "",
+          tag ? "]" : "", text);
+}
+
 kg_value kg_refuse(kg_tape *tape, kg_status status, const char *operator_name, const char *format,
                    ...)
 {
@@ -136,10 +144,22 @@ kg_value kg_refuse(kg_tape *tape, kg_status status, const char *operator_name, c
   va_start(arguments, format);
   vsnprintf(text, sizeof text, format, arguments);
   va_end(arguments);
-  const char *tag = kg_tag_at(tape, tape->graph.count);
-  kg_fail(&tape->error, status, "", 0, 0, "%s%s%s%s: %.400s", operator_name, tag ? " [" : "",
-          tag ? tag : "", tag ? "]" : "", text);
+  set_error(tape, tape->graph.count, status, operator_name, text);
   return (kg_value){0};
+}
+
+void kg_refuse_node(kg_tape *tape, uint32_t node, kg_status status)
+{
+  if (tape->error.status != KG_OK) return;
+  const char *detail = tape->graph.detail;
+  set_error(tape, node, status, kg_node_name(&tape->graph.node[node]),
+            detail ? detail : kg_status_text(status));
+}
+
+kg_status kg_sweep_status(kg_tape *tape)
+{
+  if (tape->graph.status != KG_OK) kg_refuse_node(tape, tape->graph.failed, tape->graph.status);
+  return tape->error.status;
 }
 
 kg_status kg_tape_status(const kg_tape *tape)
@@ -174,7 +194,7 @@ bool kg_same_shape(kg_shape a, kg_shape b)
   return a.rank == b.rank;
 }
 
-static bool is_valid(kg_shape shape)
+bool kg_shape_is_valid(kg_shape shape)
 {
   if (shape.rank < 0 || shape.rank > KG_MAX_RANK) return false;
   size_t size = 1;
@@ -187,7 +207,7 @@ static bool is_valid(kg_shape shape)
 
 bool kg_check_shape(kg_tape *tape, kg_op op, kg_shape shape)
 {
-  if (is_valid(shape)) return true;
+  if (kg_shape_is_valid(shape)) return true;
   kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op),
             "shape %s of rank %d: ranks 0 to %d, extents from 1", kg_shape_print(shape).text,
             (int)shape.rank, KG_MAX_RANK);
@@ -292,8 +312,8 @@ static kg_node *push_block(kg_tape *tape, const kg_recipe *recipe)
   kg_block *block = new_block(tape, recipe);
   if (!block || !kg_graph_reserve(graph)) {
     kg_arena_rewind(&tape->arena, mark);
-    kg_refuse(tape, KG_ERR_NO_MEMORY, kg_op_name(recipe->op), "no memory for a result of shape %s",
-              kg_shape_print(recipe->shape).text);
+    kg_refuse(tape, KG_ERR_NO_MEMORY, kg_operator_name(recipe->op, recipe->attributes),
+              "no memory for a result of shape %s", kg_shape_print(recipe->shape).text);
     return NULL;
   }
   const bool active = connect(tape, block, recipe);
@@ -327,10 +347,14 @@ kg_value kg_record(kg_tape *tape, const kg_recipe *recipe)
   if (tape->error.status != KG_OK) return (kg_value){0};
   kg_node *node = push_block(tape, recipe);
   if (!node) return (kg_value){0};
-  const kg_status status = kg_graph_evaluate(&tape->graph, node);
-  if (status != KG_OK) {
-    --tape->graph.count;
-    return kg_refuse(tape, status, kg_op_name(recipe->op), "%s", kg_status_text(status));
+  if (recipe->known) {
+    memcpy(node->is.block->data, recipe->known, node->is.block->size * tape->graph.number);
+  } else {
+    const kg_status status = kg_graph_evaluate(&tape->graph, node);
+    if (status != KG_OK) {
+      kg_refuse_node(tape, --tape->graph.count, status);
+      return (kg_value){0};
+    }
   }
   return (kg_value){(tape->graph.count - 1) | KG_TENSOR};
 }

@@ -18,7 +18,6 @@ struct kg_tape {
   kg_tag_range *tags;
   size_t tag_count, tag_capacity;
   kg_error error;
-  kg_tape *child; /* where checkpoints are recorded anew; NULL until one is */
 };
 
 /* What an operator's function hands over once shapes are checked. */
@@ -34,6 +33,7 @@ typedef struct kg_recipe {
   bool constant;           /* without derivative whatever the operands are */
   const kg_kernel *kernel; /* NULL: that of op */
   const void *alias; /* the result's numbers when they are an operand's (reshape), else NULL */
+  const void *known; /* the result when it is known already, copied; NULL: evaluated */
 } kg_recipe;
 
 /* Records a block and evaluates it; the null value on failure, with the tape's error set. */
@@ -54,6 +54,12 @@ struct kg_elementwise kg_plan_elementwise(int count, const kg_shape *shapes, kg_
  * value. */
 kg_value kg_refuse(kg_tape *tape, kg_status status, const char *operator_name, const char *format,
                    ...) KG_PRINTF(4, 5);
+
+/* The same for a node whose kernel failed; and when one has in the last sweep: the tape's status. */
+void kg_refuse_node(kg_tape *tape, uint32_t node, kg_status status);
+kg_status kg_sweep_status(kg_tape *tape);
+
+bool kg_shape_is_valid(kg_shape shape);
 
 /* "(64, 48)" into text; returns text */
 typedef struct kg_shape_text {

@@ -228,14 +228,14 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
   }
   const kg_kernel *kernel = &graph->kernels[node->op];
   const double tolerance = 1e-14 * sqrt((double)terms);
-  kg_call call = {block->attributes, m, LANES, block->count, in, out, saved};
+  kg_call call = {block->attributes, m, LANES, block->count, in, out, saved, NULL};
   for (int k = 0; k < block->count; ++k) {
     in[k] = wide[k];
   }
   assert_int_equal(kernel->forward(&call), KG_OK);
   kernel->vjp(&call, w, (void *const *)wide_adjoint);
   for (size_t lane = 0; lane < LANES; ++lane) {
-    kg_call single = {block->attributes, m, 1, block->count, in, out_one, saved};
+    kg_call single = {block->attributes, m, 1, block->count, in, out_one, saved, NULL};
     for (int k = 0; k < block->count; ++k) {
       for (size_t e = 0; e < n[k]; ++e) {
         one[k][e] = wide[k][e * LANES + lane];

@@ -45,11 +45,16 @@ typedef struct kg_primitive {
    * KG_MAX_OPERANDS, from the arena; returns how many operands, negative on failure. */
   int (*sample)(void *user, kg_random *random, int index, kg_arena *arena, kg_shape *shapes,
                 double **in);
+  /* Optional: forward and vjp in complex arithmetic, the analytic continuation (no conjugates). All numbers, saved
+   * ones too, are then pairs (re, im), laid out as C's double complex. Hessian products need both; a complex step
+   * goes through jvp where there is no complex form. */
+  kg_status (*complex_forward)(const kg_primitive_call *call);
+  kg_status (*complex_vjp)(const kg_primitive_call *call, const double *adjoint, double *const *in_adjoints);
 } kg_primitive;
 
 /* Records one call. The primitive must outlive the tape and every program frozen from it. It runs on
  * double tapes; on a float tape its operands are converted. In a program with lanes it is called once a lane. */
-KG_API kg_value kg_call(kg_tape *tape, const kg_primitive *primitive, int count,
+KG_API kg_value kg_apply(kg_tape *tape, const kg_primitive *primitive, int count,
                         const kg_value *operands);
 
 /* -- implicit primitives ----------------------------------------------------------------------- */
@@ -64,8 +69,10 @@ typedef struct kg_implicit {
   kg_status (*shape)(void *user, int count, const kg_shape *shapes, kg_shape *result, size_t *saved);
   /* Finds x; call->saved may keep the factorised dF/dx at x. */
   kg_status (*solve)(const kg_primitive_call *call);
-  /* residual (size of x) = F(x, p), with x in call->out. Used to check, never to differentiate. */
+  /* residual (size of x) = F(x, p), with x in call->out. Used to check, never to differentiate: a solution whose
+   * largest residual is not a number or exceeds tolerance (0: no limit) is refused, KG_ERR_UNDEFINED. */
   kg_status (*residual)(const kg_primitive_call *call, double *residual);
+  double tolerance;
   /* lambda = (dF/dx)^-T adjoint. */
   kg_status (*transposed_solve)(const kg_primitive_call *call, const double *adjoint, double *lambda);
   /* Adds (dF/dp[i])' lambda to in_adjoints[i], NULL entries are not wanted. */
@@ -86,6 +93,7 @@ KG_API kg_value kg_solve_implicit(kg_tape *tape, const kg_implicit *problem, int
 
 /* residual: records F(x, p) on the tape it is given (same size as x).
  * solve: fills x from the parameters, by any means, x holds a starting point (zeros).
+ * tolerance: as in kg_implicit.
  * dF/dx and dF/dp come from the recorded residual; dF/dx is factorised densely. */
 typedef struct kg_root {
   const char *name;
@@ -94,6 +102,7 @@ typedef struct kg_root {
   kg_value (*residual)(kg_tape *tape, kg_value x, int count, const kg_value *parameters, void *user);
   kg_status (*solve)(void *user, int count, const kg_shape *shapes, const double *const *parameters,
                      double *x);
+  double tolerance;
 } kg_root;
 
 KG_API kg_value kg_differentiate_root(kg_tape *tape, const kg_root *root, int count,
