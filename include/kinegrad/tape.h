@@ -142,8 +142,9 @@ typedef struct kg_trace {
 KG_API kg_trace kg_trace_value(const kg_tape *tape);
 
 /* After a backward sweep: the operator nearest the seed whose adjoint rule made a NaN or an
- * infinity out of a finite adjoint of its result; value is the operand that received it. */
-KG_API kg_trace kg_trace_adjoint(const kg_tape *tape);
+ * infinity out of a finite adjoint of its result; value is the operand that received it, index and
+ * item say where. Rules of suspects are run again. */
+KG_API kg_trace kg_trace_adjoint(kg_tape *tape);
 
 #ifdef __cplusplus
 }
