@@ -6,13 +6,16 @@
 #include "autodiff/graph.h"
 
 /* Element-wise operators: the result's axes, merged where all operands run on, and the strides
- * of the operands along them; 0 repeats. */
+ * of the operands along them; 0 repeats. Operands of one shape need no axes: rank 0, and only
+ * KG_FLAT_BYTES are kept. */
 typedef struct kg_elementwise {
-  int64_t rank;            /* 1 .. KG_MAX_RANK */
+  double p, q;             /* constants of the rule */
+  int64_t rank;            /* 0 .. KG_MAX_RANK */
   size_t dim[KG_MAX_RANK]; /* the slowest first */
   size_t stride[3][KG_MAX_RANK];
-  double p, q; /* constants of the rule */
 } kg_elementwise;
+
+#define KG_FLAT_BYTES offsetof(kg_elementwise, dim)
 
 /* is_less: what the comparison said when it was recorded. */
 typedef struct kg_guard {

@@ -106,7 +106,7 @@ kg_elementwise kg_plan_elementwise(int count, const kg_shape *shapes, kg_shape r
   return e;
 }
 
-/* operands of one shape, the usual case: a single run */
+/* the usual case: nothing to broadcast */
 static bool all_equal(int count, const kg_shape *shapes)
 {
   bool equal = true;
@@ -114,15 +114,6 @@ static bool all_equal(int count, const kg_shape *shapes)
     equal = equal && kg_same_shape(shapes[0], shapes[k]);
   }
   return equal;
-}
-
-static kg_elementwise single_run(kg_shape shape)
-{
-  kg_elementwise e = {.rank = 1, .dim = {kg_shape_size(&shape)}};
-  for (int k = 0; k < 3; ++k) {
-    e.stride[k][0] = 1;
-  }
-  return e;
 }
 
 kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_value *operands,
@@ -140,7 +131,9 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
                      kg_shape_print(shapes[0]).text, kg_shape_print(shapes[1]).text,
                      count > 2 ? ", " : "", count > 2 ? kg_shape_print(shapes[2]).text : "");
   }
-  kg_elementwise e = equal ? single_run(result) : kg_plan_elementwise(count, shapes, result);
+  kg_elementwise e;
+  e.rank = 0;
+  if (!equal) e = kg_plan_elementwise(count, shapes, result);
   e.p = p;
   e.q = q;
   return kg_record(tape, &(kg_recipe){.op = op,
@@ -148,7 +141,7 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
                                       .operands = operands,
                                       .shape = result,
                                       .attributes = &e,
-                                      .attribute_bytes = sizeof e,
+                                      .attribute_bytes = equal ? KG_FLAT_BYTES : sizeof e,
                                       .constant = constant});
 }
 

@@ -60,9 +60,9 @@ static void view_scalar(const freezer *f, const kg_node *node, view *v)
     v->block.attribute_bytes = sizeof v->index;
   } else if (v->block.count) {
     const double p = v->block.count == 1 ? node->partial[1] : 0;
-    v->elementwise = (kg_elementwise){.rank = 1, .dim = {1}, .p = p};
+    v->elementwise = (kg_elementwise){.p = p};
     v->block.attributes = &v->elementwise;
-    v->block.attribute_bytes = sizeof v->elementwise;
+    v->block.attribute_bytes = KG_FLAT_BYTES;
   }
 }
 

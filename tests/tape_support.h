@@ -21,7 +21,7 @@ typedef double _Complex complex_number;
 /* the elementwise attributes of a scalar node: one entry and its constant */
 static inline kg_elementwise scalar_attributes(const kg_node *node)
 {
-  return (kg_elementwise){.rank = 1, .dim = {1}, .p = node->partial[1]};
+  return (kg_elementwise){.p = node->partial[1]};
 }
 
 static inline size_t node_size(const kg_node *node)
