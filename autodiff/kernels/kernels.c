@@ -6,6 +6,7 @@
  * do. */
 #include "autodiff/attributes.h"
 
+#include <float.h>
 #include <string.h>
 
 #include "autodiff/kernels/number.h"
