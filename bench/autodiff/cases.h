@@ -20,6 +20,11 @@
   }
 #endif
 
+/* kinegrad's own contestants: the tape is recorded anew for every answer */
+kg_status kg_bench_gmm_tape(void **state, const void *data, const kg_allocator *allocator);
+kg_status kg_bench_gmm_tape_run(void *state, double *answer);
+void kg_bench_gmm_tape_destroy(void *state);
+
 enum {
   BENCH_GMM_CASES = 6,
   BENCH_BA_CASES = 5,
