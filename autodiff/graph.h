@@ -120,7 +120,6 @@ static inline const void *kg_node_data(const kg_graph *graph, uint32_t id)
   return id & KG_TENSOR ? node->is.block->data : (const void *)&node->is.value;
 }
 
-size_t kg_shape_size(const kg_shape *shape);
 
 /* "matmul"; of a primitive its own name. attributes: of a block. */
 const char *kg_operator_name(kg_op op, const void *attributes);

@@ -51,6 +51,7 @@ typedef struct kg_shape {
 #define KG_SHAPE(...)                                                                              \
   ((kg_shape){(int32_t)(sizeof((int32_t[]){__VA_ARGS__}) / sizeof(int32_t)), {__VA_ARGS__}})
 #define KG_SCALAR_SHAPE ((kg_shape){0, {0}})
+KG_API size_t kg_shape_size(const kg_shape *shape); /* entries */
 
 /* The arithmetic of a whole tape. Float is for networks. */
 typedef enum kg_precision { KG_DOUBLE, KG_FLOAT } kg_precision;
