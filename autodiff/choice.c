@@ -20,13 +20,8 @@ kg_value kg_where(kg_tape *tape, kg_value mask, kg_value a, kg_value b)
   return kg_record_elementwise(tape, kg_op_where, 3, operands, 0, 0, false);
 }
 
-static bool is_constant(const kg_tape *tape, kg_value value)
-{
-  return kg_node_of(tape, value)->op == kg_op_constant;
-}
-
-/* The guard is a node whose value nobody reads. A mask is inactive and may depend on the inputs all
- * the same, so only constants go without. */
+/* The guard is a node whose value nobody reads. It is kept between constants too: a program may change
+ * them. */
 bool kg_is_less(kg_tape *tape, kg_value a, kg_value b)
 {
   const kg_value operands[2] = {a, b};
@@ -37,7 +32,6 @@ bool kg_is_less(kg_tape *tape, kg_value a, kg_value b)
     return false;
   }
   const bool answer = kg_item(tape, a) < kg_item(tape, b);
-  if (is_constant(tape, a) && is_constant(tape, b)) return answer;
   const kg_guard guard = {answer};
   const kg_value node = kg_record(tape, &(kg_recipe){.op = kg_op_is_less,
                                                      .count = 2,

@@ -41,9 +41,14 @@ typedef struct view {
   size_t index;
 } view;
 
+static bool is_leaf(const kg_node *node)
+{
+  return node->op == kg_op_input || node->op == kg_op_constant;
+}
+
 static int operands_of_scalar(const kg_node *node)
 {
-  if (node->op == kg_op_input || node->op == kg_op_constant) return 0;
+  if (is_leaf(node)) return 0;
   return node->input[1] && node->op != kg_op_element ? 2 : 1;
 }
 
@@ -271,11 +276,11 @@ static bool add(freezer *f, uint32_t index)
   kg_program *p = f->program;
   trait *t = &f->trait[index];
   const kg_node *node = tape_node(f, index);
-  const bool is_leaf = t->is_input || !t->varying;
+  const bool fixed = t->is_input || !t->varying;
   view v;
   kg_block from = *view_node(f, index, &v);
-  if (is_leaf) from.count = 0, from.attribute_bytes = from.saved_size = 0;
-  const kg_op op = t->is_input ? kg_op_input : is_leaf ? kg_op_constant : (kg_op)node->op;
+  if (fixed) from.count = 0, from.attribute_bytes = from.saved_size = 0;
+  const kg_op op = t->is_input ? kg_op_input : fixed ? kg_op_constant : (kg_op)node->op;
   uint32_t *input;
   kg_block *block = copy_block(f, op, &from, &input);
   if (!block || !kg_graph_reserve(&p->graph) || !copy_tag(f, index)) return false;
@@ -284,15 +289,15 @@ static bool add(freezer *f, uint32_t index)
     block->data = numbers(p, block->size);
     block->saved = numbers(p, block->saved_size);
     if (kg_arena_failed(&p->arena)) return false;
-    if (!is_leaf) p->run[p->info.run++] = p->graph.count;
+    if (!fixed) p->run[p->info.run++] = p->graph.count;
   }
-  if (is_leaf) fill(f, &from, block);
+  if (fixed) fill(f, &from, block);
   if (from.count > p->graph.widest) p->graph.widest = from.count;
   t->at = p->graph.count;
   p->graph.node[p->graph.count++] = (kg_node){.is.block = block,
                                               .op = (uint16_t)op,
                                               .is_block = true,
-                                              .active = t->is_input || (active && node->active)};
+                                              .active = node->active && (t->is_input || active)};
   return true;
 }
 
@@ -417,8 +422,9 @@ static kg_status check_values(const kg_tape *tape, int input_count, const kg_val
   }
   for (int i = 0; i < input_count; ++i) {
     if (!inputs[i].id || kg_index(inputs[i].id) >= tape->graph.count ||
-        kg_node_of(tape, inputs[i])->op != kg_op_input) {
-      return refuse(error, KG_ERR_UNSUPPORTED, "not made by kg_input or kg_scalar: input", i);
+        !is_leaf(kg_node_of(tape, inputs[i]))) {
+      return refuse(error, KG_ERR_UNSUPPORTED, "neither an input nor a constant of the tape: input",
+                    i);
     }
     for (int k = 0; k < i; ++k) {
       if (inputs[k].id == inputs[i].id)

@@ -268,6 +268,87 @@ static void test_seeds_stay_until_directions_change(void **state)
   kg_tape_destroy(t);
 }
 
+/* a comparison that turns around, named by tag and lane; one that depends on no input stays unasked */
+static void test_stale_comparison(void **state)
+{
+  (void)state;
+  enum { LANES = 9 };
+  kg_tape *t;
+  assert_int_equal(kg_tape_create(NULL, &t, NULL), KG_OK);
+  const kg_value x = kg_scalar(t, 1), data = kg_constant_scalar(t, 2), other = kg_scalar(t, 3);
+  assert_false(kg_is_less(t, other, kg_constant_scalar(t, 1)));
+  kg_tape_tag(t, "friction cone");
+  const kg_value square = kg_square(t, x);
+  const kg_value y = kg_is_less(t, square, data) ? kg_exp(t, x) : kg_log(t, x);
+  kg_tape_tag(t, NULL);
+  const kg_value in[2] = {x, data};
+  kg_program *p;
+  assert_int_equal(kg_program_create(&(kg_program_def){.lanes = LANES}, t, 2, in, 1, &y, &p, NULL),
+                   KG_OK);
+  kg_tape_destroy(t);
+  double *xs = kg_program_input(p, 0), *bounds = kg_program_input(p, 1);
+  assert_int_equal(kg_program_run(p), KG_OK);
+  xs[7] = 1.5;
+  assert_int_equal(kg_program_run(p), KG_ERR_STALE);
+  const char *text = kg_program_error(p)->text;
+  assert_non_null(strstr(text, "is_less [friction cone]"));
+  assert_non_null(strstr(text, "square < input"));
+  assert_non_null(strstr(text, "lane 7"));
+  assert_int_equal(kg_program_backward(p, 1), KG_ERR_UNDEFINED);
+  bounds[7] = 3;
+  assert_int_equal(kg_program_run(p), KG_OK);
+  bounds[0] = 1;
+  assert_int_equal(kg_program_run(p), KG_ERR_STALE);
+  assert_non_null(strstr(kg_program_error(p)->text, "lane 0"));
+  kg_program_destroy(p);
+}
+
+static void test_undefined_names_operator_and_tag(void **state)
+{
+  (void)state;
+  enum { LANES = 2 };
+  const double identity[4] = {1, 0, 0, 1};
+  kg_tape *t;
+  assert_int_equal(kg_tape_create(NULL, &t, NULL), KG_OK);
+  const kg_value a = kg_input(t, KG_SHAPE(2, 2), identity);
+  kg_tape_tag(t, "mass matrix");
+  const kg_value x = kg_solve(t, a, kg_constant(t, KG_SHAPE(2, 2), identity), 0);
+  kg_program *p;
+  assert_int_equal(kg_program_create(&(kg_program_def){.lanes = LANES}, t, 1, &a, 1, &x, &p, NULL),
+                   KG_OK);
+  assert_int_equal(kg_program_run(p), KG_OK);
+  ((double *)kg_program_input(p, 0))[1] = 0; /* entry (0, 0) of lane 1 */
+  assert_int_equal(kg_program_run(p), KG_ERR_UNDEFINED);
+  assert_non_null(strstr(kg_program_error(p)->text, "solve [mass matrix]"));
+  kg_program_destroy(p);
+  kg_tape_destroy(t);
+}
+
+/* Constants of the tape can be inputs too: they vary, and are not differentiated. */
+static void test_data_inputs(void **state)
+{
+  (void)state;
+  kg_tape *t;
+  assert_int_equal(kg_tape_create(NULL, &t, NULL), KG_OK);
+  const kg_value x = kg_scalar(t, 2), data = kg_constant_scalar(t, 3);
+  const kg_value in[2] = {x, data}, y = kg_mul(t, x, kg_square(t, data));
+  kg_program *p;
+  assert_int_equal(kg_program_create(NULL, t, 2, in, 1, &y, &p, NULL), KG_OK);
+  *(double *)kg_program_input(p, 1) = 5;
+  *(double *)kg_program_seed(p, 0, 1) = 1;
+  *(double *)kg_program_tangent(p, 0, 1) = 1;
+  *(double *)kg_program_tangent(p, 1, 1) = 1000;
+  assert_int_equal(kg_program_run(p), KG_OK);
+  assert_int_equal(kg_program_backward(p, 1), KG_OK);
+  assert_true(*(const double *)kg_program_output(p, 0) == 50);
+  assert_true(*(const double *)kg_program_adjoint(p, 0) == 25);
+  assert_null(kg_program_adjoint(p, 1));
+  assert_int_equal(kg_program_forward(p, 1), KG_OK);
+  assert_true(*(const double *)kg_program_output_tangent(p, 0) == 25);
+  kg_program_destroy(p);
+  kg_tape_destroy(t);
+}
+
 static void test_refused_values(void **state)
 {
   (void)state;
@@ -420,6 +501,9 @@ int main(void)
     cmocka_unit_test(test_forward_and_backward_agree),
     cmocka_unit_test(test_odd_ends),
     cmocka_unit_test(test_seeds_stay_until_directions_change),
+    cmocka_unit_test(test_stale_comparison),
+    cmocka_unit_test(test_undefined_names_operator_and_tag),
+    cmocka_unit_test(test_data_inputs),
     cmocka_unit_test(test_refused_values),
     cmocka_unit_test(test_memory_refused_anywhere),
     cmocka_unit_test(test_steady_state_allocates_nothing),

@@ -32,8 +32,10 @@ typedef struct kg_program_def {
 
 KG_API kg_program_def kg_program_default_def(void);
 
-/* Freezes the part of the tape between inputs (values made by kg_input or kg_scalar; other
- * inputs of the tape are constants of the program) and outputs. def == NULL: the default. */
+/* Freezes the part of the tape between inputs and outputs. Inputs are values made by kg_input or
+ * kg_scalar, or by kg_constant or kg_constant_scalar: data that change from run to run and are not
+ * differentiated. All other inputs of the tape are constants of the program. def == NULL: the
+ * default. */
 KG_API KG_MUST_USE kg_status kg_program_create(const kg_program_def *def, const kg_tape *tape,
                                                int input_count, const kg_value *inputs,
                                                int output_count, const kg_value *outputs,
@@ -70,7 +72,7 @@ KG_API void *kg_program_seed(kg_program *program, int o, int directions);
 
 /* Backward from the seeds at the inputs of the last run. */
 KG_API kg_status kg_program_backward(kg_program *program, int directions);
-/* The adjoint of input i, (directions, size, lanes). */
+/* The adjoint of input i, (directions, size, lanes); NULL when it was made as a constant. */
 KG_API const void *kg_program_adjoint(const kg_program *program, int i);
 
 /* Where to write the tangent of input i before kg_program_forward, (directions, size, lanes); as
