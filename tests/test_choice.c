@@ -117,6 +117,7 @@ static void guard_is_recorded_where_inputs_may_turn_it(void **state)
   kg_tape *tape = new_tape(KG_DOUBLE);
   const kg_value a = kg_scalar(tape, 1), b = kg_constant_scalar(tape, 2);
   size_t nodes = kg_tape_nodes(tape);
+  assert_false(kg_is_less(tape, b, b));
   assert_true(kg_is_less(tape, kg_constant_scalar(tape, 1), b));
   assert_int_equal(kg_tape_nodes(tape), nodes + 2); /* a program may take constants for inputs */
   const kg_value mask = kg_less(tape, a, b);        /* inactive, and depends on a */

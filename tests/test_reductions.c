@@ -197,18 +197,30 @@ static void combine_weighs_its_terms(void **state)
   assert_close(kg_item(tape, y), 1.5, 0);
   assert_int_equal(kg_backward(tape, y), KG_OK);
   assert_close(kg_adjoint_item(tape, s[1]), -0.5, 0);
+  const kg_value mixed[2] = {kg_constant_scalar(tape, 2), s[1]}; /* one term does not move */
+  const kg_value z = kg_combine(tape, 2, factors, mixed);
+  check_operator(tape, 1, &s[1], z, &random, 1e-15);
   kg_tape_destroy(tape);
 }
 
 /* -- edges ------------------------------------------------------------------------------------- */
 
-/* value and gradient of the one result */
-static double edge(along *record, size_t n, const double *x, double *gradient)
+enum { LONGEST = 50 };
+
+/* First result and its gradient: of a contiguous row, or of the first of two columns. */
+static double edge(along *record, int32_t columns, size_t n, const double *x, double *gradient)
 {
   kg_tape *tape = new_tape(KG_DOUBLE, 3);
-  const kg_value a = kg_input(tape, KG_SHAPE((int32_t)n), x), y = record(tape, a, 0);
-  const double seed[8] = {1};
-  assert_int_equal(kg_vjp(tape, 1, 1, &y, (const double *const[]){seed}, 1, &a, &gradient), KG_OK);
+  double numbers[2 * LONGEST] = {0}, g[2 * LONGEST], *to = g;
+  const double seed[2 * LONGEST] = {1}, *seeds = seed;
+  for (size_t i = 0; i < n; ++i) {
+    numbers[i * (size_t)columns] = x[i];
+  }
+  const kg_value a = kg_input(tape, KG_SHAPE((int32_t)n, columns), numbers), y = record(tape, a, 0);
+  assert_int_equal(kg_vjp(tape, 1, 1, &y, &seeds, 1, &a, &to), KG_OK);
+  for (size_t i = 0; i < n; ++i) {
+    gradient[i] = g[i * (size_t)columns];
+  }
   const double value = kg_item(tape, y);
   kg_tape_destroy(tape);
   return value;
@@ -217,15 +229,17 @@ static double edge(along *record, size_t n, const double *x, double *gradient)
 static void check_edge(along *record, size_t n, const double *x, double value,
                        const double *gradient, double tolerance)
 {
-  double g[8];
-  const double y = edge(record, n, x, g);
-  if (isfinite(value)) {
-    assert_at_most(fabs(y - value), tolerance * fabs(value));
-  } else {
-    assert_true(y == value);
-  }
-  for (size_t i = 0; i < n; ++i) {
-    assert_close(g[i], gradient[i], tolerance);
+  for (int32_t columns = 1; columns <= 2; ++columns) {
+    double g[LONGEST];
+    const double y = edge(record, columns, n, x, g);
+    if (isfinite(value)) {
+      assert_at_most(fabs(y - value), tolerance * fabs(value));
+    } else {
+      assert_true(y == value);
+    }
+    for (size_t i = 0; i < n; ++i) {
+      assert_close(g[i], gradient[i], tolerance);
+    }
   }
 }
 
@@ -237,6 +251,13 @@ static void norm_is_safe_at_zero_and_far_out(void **state)
     const double s = pow(10, e);
     check_edge(kg_norm, 3, (double[]){3 * s, 0, -4 * s}, 5 * s, (double[]){0.6, 0, -0.8}, 1e-14);
   }
+  kg_tape *tape = new_tape(KG_DOUBLE, 3);
+  const kg_value zero = kg_input(tape, KG_SHAPE(3), NULL), y = kg_norm(tape, zero, 0);
+  const double direction[3] = {1, 2, 3}, *directions = direction;
+  double slope = NAN, *slopes = &slope;
+  assert_int_equal(kg_jvp(tape, 1, 1, &zero, &directions, 1, &y, &slopes), KG_OK);
+  assert_true(slope == 0);
+  kg_tape_destroy(tape);
 }
 
 static void extremes_give_ties_to_the_first(void **state)
@@ -245,11 +266,13 @@ static void extremes_give_ties_to_the_first(void **state)
   check_edge(kg_max_along, 4, (double[]){1, 3, 3, 2}, 3, (double[]){0, 1, 0, 0}, 0);
   check_edge(kg_min_along, 4, (double[]){3, 1, 2, 1}, 1, (double[]){0, 1, 0, 0}, 0);
   check_edge(kg_max_along, 2, (double[]){-INFINITY, -INFINITY}, -INFINITY, (double[]){1, 0}, 0);
-  double g[3];
-  assert_true(isnan(edge(kg_max_along, 3, (double[]){1, NAN, 2}, g)));
-  assert_true(g[1] == 1 && g[2] == 0);
-  assert_true(isnan(edge(kg_min_along, 3, (double[]){NAN, 1, NAN}, g)));
-  assert_true(g[0] == 1 && g[2] == 0);
+  for (int32_t columns = 1; columns <= 2; ++columns) {
+    double g[3];
+    assert_true(isnan(edge(kg_max_along, columns, 3, (double[]){1, NAN, 2}, g)));
+    assert_true(g[0] == 0 && g[1] == 1 && g[2] == 0);
+    assert_true(isnan(edge(kg_min_along, columns, 3, (double[]){NAN, 1, NAN}, g)));
+    assert_true(g[0] == 1 && g[1] == 0 && g[2] == 0);
+  }
 }
 
 static void logsumexp_takes_infinities(void **state)
@@ -263,9 +286,17 @@ static void logsumexp_takes_infinities(void **state)
   check_edge(kg_logsumexp, 3, (double[]){1, inf, 2}, inf, (double[]){0, 1, 0}, 0);
   check_edge(kg_logsumexp, 3, (double[]){inf, -inf, inf}, inf, (double[]){0.5, 0, 0.5}, 0);
   check_edge(kg_softmax, 2, (double[]){inf, 0}, 1, (double[]){0, 0}, 0);
-  double g[2];
-  assert_true(isnan(edge(kg_logsumexp, 2, (double[]){1, NAN}, g)));
-  assert_true(isnan(edge(kg_logsumexp, 2, (double[]){NAN, 1}, g)));
+  for (int32_t columns = 1; columns <= 2; ++columns) {
+    double g[2];
+    assert_true(isnan(edge(kg_logsumexp, columns, 2, (double[]){1, NAN}, g)));
+    assert_true(isnan(edge(kg_logsumexp, columns, 2, (double[]){NAN, 1}, g)));
+  }
+  for (size_t at = 0; at < LONGEST; ++at) { /* one large entry, anywhere */
+    double x[LONGEST] = {0}, weight[LONGEST] = {0};
+    x[at] = 1000;
+    weight[at] = 1;
+    check_edge(kg_logsumexp, LONGEST, x, 1000, weight, 1e-15);
+  }
 }
 
 /* a row of NaN that receives a zero adjoint stays to itself */
