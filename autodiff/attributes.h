@@ -32,6 +32,7 @@ typedef struct kg_product {
   size_t batch, m, n, k;
   size_t step_a, step_b; /* entries from one matrix of the batch to the next; 0: one serves all */
   int64_t transposed_a, transposed_b;
+  size_t saved; /* room for B', where its adjoint rule meets B again and again */
 } kg_product;
 
 /* op(A) X = B: A (batch, n, n), B (batch, n, m). Saved: of every A its factors (n, n) and n row

@@ -43,6 +43,7 @@ static void divide_rows(kg_product *p)
     p->m = rows;
     p->step_a = rows * p->k;
     p->step_b = 0;
+    p->saved = p->transposed_b ? 0 : p->k * p->n;
     return;
   }
 }
@@ -59,7 +60,8 @@ static kg_value record_product(kg_tape *tape, kg_op op, int count, const kg_valu
                                       .operands = operands,
                                       .shape = shape,
                                       .attributes = product,
-                                      .attribute_bytes = sizeof *product});
+                                      .attribute_bytes = sizeof *product,
+                                      .saved = product->saved});
 }
 
 kg_value kg_matmul(kg_tape *tape, kg_value a, kg_value b, int flags)

@@ -94,5 +94,6 @@ kg_value kg_convolve(kg_tape *tape, kg_value x, kg_value weight, kg_value bias, 
                                       .operands = operands,
                                       .shape = shape,
                                       .attributes = &attributes,
-                                      .attribute_bytes = sizeof attributes});
+                                      .attribute_bytes = sizeof attributes,
+                                      .saved = attributes.in * attributes.out});
 }
