@@ -149,8 +149,12 @@ static void print_pair(FILE *out, const kg_bench_result *result, int k)
   if (ours->rounds == 0 || peer->rounds == 0) {
     return;
   }
-  fprintf(out, "  %-26s %10.4g times %s", pair->name, ours->cpu / peer->cpu,
-          of->contestants[pair->peer].name);
+  if (pair->ours == pair->peer) {
+    fprintf(out, "  %-26s %10.4g %s", pair->name, ours->cpu / of->unit_seconds, of->unit);
+  } else {
+    fprintf(out, "  %-26s %10.4g times %s", pair->name, ours->cpu / peer->cpu,
+            of->contestants[pair->peer].name);
+  }
   if (pair->bar > 0.0) {
     fprintf(out, " (aim: %g)", pair->bar);
   }

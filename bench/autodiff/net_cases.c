@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "bench/autodiff/cases.h"
+#include "bench/autodiff/nets_kinegrad.h"
 
 enum { ALL = (1 << (1 + 2 * KG_BENCH_NET_LAYERS)) - 1 };
 
@@ -77,18 +78,30 @@ static void destroy_products(void *state)
 
 /* ---- the cases ------------------------------------------------------------------------------- */
 
-enum { PRODUCTS, ADOLC_RETAPED, ADOLC_REPLAYED, CONTESTANTS };
+enum { PRODUCTS, RECORDED, REPLAYED, ADOLC_RETAPED, ADOLC_REPLAYED, CONTESTANTS };
 
 static const kg_bench_contestant contestants[CONTESTANTS] = {
   [PRODUCTS] = {"bare products, sgemm", NULL, 0, create_products, run_products, destroy_products},
+  [RECORDED] = {"kinegrad, recorded", NULL, ALL, kg_net_recorded_create, kg_net_recorded_run,
+                kg_net_destroy},
+  [REPLAYED] = {"kinegrad, replayed", NULL, ALL, kg_net_replayed_create, kg_net_replayed_run,
+                kg_net_destroy},
   [ADOLC_RETAPED] = ADOLC_CONTESTANT("ADOL-C, retaped, double", ALL, kg_adolc_net_retaped),
   [ADOLC_REPLAYED] = ADOLC_CONTESTANT("ADOL-C, replayed, double", ALL, kg_adolc_net_replayed),
 };
 
-static const kg_bench_pair pairs[] = {
-  {"ADOL-C retaped", ADOLC_RETAPED, PRODUCTS, 0.0},
-  {"ADOL-C replayed", ADOLC_REPLAYED, PRODUCTS, 0.0},
-};
+/* the perceptron is to be as fast as that, the other nets to be that close to the bare products */
+enum { PAIRS = 4 };
+#define PAIRS_OF(name, milliseconds, ratio)                                                        \
+  static const kg_bench_pair name[PAIRS] = {                                                       \
+    {"recorded", RECORDED, RECORDED, milliseconds},                                                \
+    {"recorded over products", RECORDED, PRODUCTS, ratio},                                         \
+    {"replayed over products", REPLAYED, PRODUCTS, ratio},                                         \
+    {"recorded over ADOL-C", RECORDED, ADOLC_REPLAYED, 0.1},                                       \
+  }
+PAIRS_OF(mlp_pairs, 0.15, 0.0);
+PAIRS_OF(tcn_pairs, 0.0, 1.3);
+PAIRS_OF(gcn_pairs, 0.0, 1.5);
 
 static const shape shapes[BENCH_NET_CASES] = {
   {KG_BENCH_MLP, KG_BENCH_RELU, {48, 64, 64, 12}, 64, 1},
@@ -101,15 +114,15 @@ static const shape shapes[BENCH_NET_CASES] = {
 
 /* the tolerance is that of single precision, 6e-8, over sums of up to 1536 terms */
 /* clang-format off */
-#define CASE(i, title)                                                                             \
+#define CASE(i, title, pairs_of_it)                                                                \
   {                                                                                                \
     .name = (title), .unit = "ms", .unit_seconds = 1e-3, .tolerance = 1e-5, .detail = &shapes[i],  \
     .open = open, .close = close, .reference = reference, .contestants = contestants,              \
-    .contestant_count = CONTESTANTS, .pairs = pairs, .pair_count = KG_COUNT_OF(pairs)              \
+    .contestant_count = CONTESTANTS, .pairs = pairs_of_it, .pair_count = PAIRS                     \
   }
 /* clang-format on */
 
 const kg_bench_case kg_bench_net_cases[BENCH_NET_CASES] = {
-  CASE(0, "mlp_relu"), CASE(1, "tcn_relu"), CASE(2, "gcn_relu"),
-  CASE(3, "mlp_tanh"), CASE(4, "tcn_tanh"), CASE(5, "gcn_tanh"),
+  CASE(0, "mlp_relu", mlp_pairs), CASE(1, "tcn_relu", tcn_pairs), CASE(2, "gcn_relu", gcn_pairs),
+  CASE(3, "mlp_tanh", mlp_pairs), CASE(4, "tcn_tanh", tcn_pairs), CASE(5, "gcn_tanh", gcn_pairs),
 };
