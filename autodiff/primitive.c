@@ -246,7 +246,6 @@ void kg_primitive_vjp(const kg_call *call, const void *adjoint, void *const *in_
 {
   exchange e;
   kg_graph *graph = call->graph;
-  if (graph->status != KG_OK) return;
   if (!open_exchange(&e, call)) {
     graph->status = KG_ERR_NO_MEMORY;
   } else if (graph->number > sizeof(double) &&
@@ -274,7 +273,6 @@ void kg_primitive_jvp(const kg_call *call, const void *const *in_tangent, void *
   exchange e;
   kg_graph *graph = call->graph;
   const kg_primitive_attributes *a = call->attributes;
-  if (graph->status != KG_OK) return;
   if (graph->number > sizeof(double) || !a->primitive->jvp) {
     graph->status = missing(graph, a->primitive->jvp ? "has no complex JVP" : "has no JVP");
   } else if (!open_exchange(&e, call)) {

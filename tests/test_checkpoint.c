@@ -45,6 +45,7 @@ static kg_status chain_segment(kg_tape *tape, void *user, int input_count, const
 {
   assert_int_equal(input_count, 4);
   assert_int_equal(output_count, 2);
+  if (tape->precision == KG_DOUBLE) assert_true(kg_is_scalar_node(inputs[1])); /* as on the tape */
   return run_chain(tape, user, inputs, outputs);
 }
 
@@ -109,13 +110,22 @@ static chain_result chain_gradient(kg_tape *tape, chain c)
   return r;
 }
 
+static kg_tape *narrow_tape(kg_precision precision)
+{
+  kg_tape_def def = {precision, NULL, 0};
+  kg_tape *tape;
+  assert_int_equal(kg_tape_create(&def, &tape, NULL), KG_OK);
+  return tape;
+}
+
 static void segments_change_no_bit(void **test_state)
 {
   (void)test_state;
   const chain four = {4, NULL}, six = {6, NULL}, twelve = {12, &four};
   const chain whole = {60, NULL}, pieces = {60, &six}, nested = {60, &twelve};
-  for (int precision = KG_DOUBLE; precision <= KG_FLOAT; ++precision) {
-    kg_tape *tape = new_tape((kg_precision)precision);
+  for (int kind = 0; kind < 4; ++kind) {
+    const kg_precision precision = kind % 2 ? KG_FLOAT : KG_DOUBLE;
+    kg_tape *tape = kind < 2 ? new_tape(precision) : narrow_tape(precision);
     const chain_result expected = chain_gradient(tape, whole);
     kg_tape_rewind(tape, (kg_tape_mark){0});
     const chain_result once = chain_gradient(tape, pieces);
@@ -124,6 +134,7 @@ static void segments_change_no_bit(void **test_state)
     assert_memory_equal(&once, &expected, sizeof expected);
     assert_memory_equal(&twice, &expected, sizeof expected);
     assert_true(expected.by_W[3] != 0 && expected.by_k != 0 && expected.tangent != 0);
+    assert_ptr_equal(tape->graph.child->graph.kernels, tape->graph.kernels); /* for any simd */
     kg_tape_destroy(tape);
   }
 }
@@ -310,6 +321,59 @@ static void failures_name_both_tags(void **test_state)
   expect_fault(7, KG_ERR_SHAPE, shapes);
 }
 
+/* y = x by a primitive whose adjoint fails once */
+static kg_status copy_shape(void *user, int count, const kg_shape *shapes, kg_shape *result,
+                            size_t *saved)
+{
+  (void)user, (void)count;
+  *result = shapes[0];
+  *saved = 0;
+  return KG_OK;
+}
+
+static kg_status copy_forward(const kg_primitive_call *call)
+{
+  *call->out = *call->in[0];
+  return KG_OK;
+}
+
+static kg_status copy_vjp(const kg_primitive_call *call, const double *adjoint, double *const *to)
+{
+  bool *fails = call->user;
+  const bool failed = *fails;
+  *fails = false;
+  *to[0] += *adjoint;
+  return failed ? KG_ERR_UNDEFINED : KG_OK;
+}
+
+static kg_status copy_segment(kg_tape *tape, void *user, int input_count, const kg_value *inputs,
+                              int output_count, kg_value *outputs)
+{
+  (void)output_count;
+  outputs[0] = kg_apply(tape, user, input_count, inputs);
+  return KG_OK;
+}
+
+static void a_failed_sweep_within_leaves_the_tape_usable(void **test_state)
+{
+  (void)test_state;
+  bool fails = true;
+  kg_primitive copy = {
+    .name = "copy", .user = &fails, .shape = copy_shape, .forward = copy_forward, .vjp = copy_vjp};
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  kg_value x = kg_scalar(tape, 3), y;
+  assert_int_equal(kg_checkpoint(tape, copy_segment, &copy, 1, &x, 1, &y), KG_OK);
+  assert_int_equal(kg_backward(tape, y), KG_ERR_UNDEFINED);
+  assert_string_equal(kg_tape_error(tape)->text,
+                      "checkpoint: copy: a function is undefined where its value is needed");
+  kg_tape_rewind(tape, (kg_tape_mark){0});
+  x = kg_scalar(tape, 3);
+  assert_int_equal(kg_checkpoint(tape, copy_segment, &copy, 1, &x, 1, &y), KG_OK);
+  assert_int_equal(kg_backward(tape, y), KG_OK);
+  assert_true(kg_adjoint_item(tape, x) == 1);
+  kg_tape_destroy(tape);
+}
+
 static void counts_out_of_range_are_refused(void **test_state)
 {
   (void)test_state;
@@ -367,6 +431,7 @@ int main(void)
     cmocka_unit_test(outputs_keep_their_kind_and_shape),
     cmocka_unit_test(programs_run_segments_at_new_inputs),
     cmocka_unit_test(failures_name_both_tags),
+    cmocka_unit_test(a_failed_sweep_within_leaves_the_tape_usable),
     cmocka_unit_test(counts_out_of_range_are_refused),
     cmocka_unit_test(every_refused_allocation_is_a_status),
   };

@@ -187,8 +187,15 @@ static void lanes_are_called_one_by_one(void **state)
   const kg_call call = {block->attributes, 2, LANES, 3, operands, out, saved, &tape->graph};
   assert_int_equal(block->kernel->forward(&call), KG_OK);
   block->kernel->vjp(&call, seed, sums);
+  double tangent[2 * LANES] = {7, 7, 7, 7, 7, 7}; /* written, not added to */
+  const void *directions[3] = {in[2], NULL, in[1]};
+  block->kernel->jvp(&call, directions, tangent);
   for (int lane = 0; lane < LANES; ++lane) {
     const double x[3] = {in[0][lane], in[1][lane], in[2][lane]}, h = 1e-100;
+    for (int k = 0; k < 2; ++k) {
+      const double complex y = eigenvalue(CMPLX(x[0], h * x[2]), x[1], CMPLX(x[2], h * x[1]), k);
+      assert_close(tangent[k * LANES + lane], cimag(y) / h, 1e-14);
+    }
     for (int k = 0; k < 2; ++k) {
       assert_close(out[k * LANES + lane], creal(eigenvalue(x[0], x[1], x[2], k)), 1e-15);
     }
@@ -307,6 +314,31 @@ static void complex_arithmetic_uses_the_complex_form_or_the_jvp(void **state)
   }
 }
 
+/* f = sin x cube x: f'' = -sin x x^3 + 6 x^2 cos x + 6 x sin x */
+static void hessian_products_need_the_complex_form(void **state)
+{
+  (void)state;
+  kg_primitive cube = {.name = "cube",
+                       .shape = cube_shape,
+                       .forward = cube_forward,
+                       .vjp = cube_vjp,
+                       .jvp = cube_jvp,
+                       .complex_forward = complex_cube,
+                       .complex_vjp = complex_cube_vjp};
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const double x = 1.3, v = -0.4, *vector = &v;
+  const kg_value input = kg_scalar(tape, x);
+  kg_tape_tag(tape, "volume");
+  const kg_value f = kg_mul(tape, kg_sin(tape, input), kg_apply(tape, &cube, 1, &input));
+  double product, *products = &product;
+  assert_int_equal(kg_hessian_product(tape, f, 1, &input, &vector, &products), KG_OK);
+  assert_close(product, v * (-sin(x) * x * x * x + 6 * x * x * cos(x) + 6 * x * sin(x)), 1e-14);
+  cube.complex_forward = NULL;
+  assert_int_equal(kg_hessian_product(tape, f, 1, &input, &vector, &products), KG_ERR_UNSUPPORTED);
+  assert_non_null(strstr(kg_tape_error(tape)->text, "cube [volume]: has no complex form"));
+  kg_tape_destroy(tape);
+}
+
 /* -- failures ---------------------------------------------------------------------------------- */
 
 static void failures_name_the_primitive_and_the_tag(void **state)
@@ -349,9 +381,10 @@ static void sweeps_stop_where_a_primitive_fails(void **state)
   const kg_primitive cube = {
     .name = "cube", .shape = cube_shape, .forward = cube_forward, .vjp = no_vjp};
   kg_tape *tape = new_tape(KG_DOUBLE);
-  const kg_value x = kg_scalar(tape, 2);
+  const double two = 2;
+  const kg_value x = kg_input(tape, KG_SHAPE(1), &two), before = kg_scale(tape, x, 1);
   kg_tape_tag(tape, "volume");
-  const kg_value y = kg_apply(tape, &cube, 1, &x);
+  const kg_value y = kg_apply(tape, &cube, 1, &before);
   kg_tape_tag(tape, NULL);
   const kg_value z = kg_square(tape, y);
   const kg_tape_mark mark = kg_tape_mark_of(tape);
@@ -610,6 +643,13 @@ static void a_linear_solver_has_the_adjoint_of_the_linear_system(void **state)
       assert_close(by_A[i * N + j], -lambda[i] * x[j], 1e-13);
     }
   }
+  double dx[N], expected[N], *tangent = dx; /* along b in w: A dx = w */
+  const double *direction = w;
+  assert_int_equal(kg_jvp(tape, 1, 1, &p[1], &direction, 1, &solution, &tangent), KG_OK);
+  eliminate(N, A, w, expected);
+  for (int i = 0; i < N; ++i) {
+    assert_close(dx[i], expected[i], 1e-13);
+  }
   kg_tape_destroy(tape);
 }
 
@@ -787,6 +827,7 @@ int main(void)
     cmocka_unit_test(float_tapes_convert_operands),
     cmocka_unit_test(lanes_are_called_one_by_one),
     cmocka_unit_test(complex_arithmetic_uses_the_complex_form_or_the_jvp),
+    cmocka_unit_test(hessian_products_need_the_complex_form),
     cmocka_unit_test(failures_name_the_primitive_and_the_tag),
     cmocka_unit_test(sweeps_stop_where_a_primitive_fails),
     cmocka_unit_test(kepler_is_differentiated_at_its_solution),

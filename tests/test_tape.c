@@ -334,11 +334,28 @@ static void check_blame(kg_tape *tape, kg_value x, size_t index)
   assert_string_equal(trace.tag, "culprit");
 }
 
+/* memory that holds NaN until something is written */
+static void *nan_alloc(size_t bytes, void *user)
+{
+  (void)user;
+  void *memory = malloc(bytes);
+  return memory ? memset(memory, 0xff, bytes) : NULL;
+}
+
+static void plain_free(void *memory, size_t bytes, void *user)
+{
+  (void)bytes, (void)user;
+  free(memory);
+}
+
 static void the_adjoint_trace_blames_the_rule_that_did_it(void **state)
 {
   (void)state;
   const double a[3] = {1, 0, 2};
-  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_allocator allocator = {nan_alloc, plain_free, NULL};
+  const kg_tape_def def = {KG_DOUBLE, &allocator, 3};
+  kg_tape *tape;
+  assert_int_equal(kg_tape_create(&def, &tape, NULL), KG_OK);
   check_blame(tape, kg_scalar(tape, 0), 0);
   check_blame(tape, kg_input(tape, KG_SHAPE(3), a), 1);
   kg_tape *single = new_tape(KG_FLOAT);
@@ -347,6 +364,28 @@ static void the_adjoint_trace_blames_the_rule_that_did_it(void **state)
   assert_int_equal(kg_backward(single, fine), KG_OK);
   assert_true(kg_is_null(kg_trace_adjoint(single).value));
   kg_tape_destroy(single);
+  kg_tape_destroy(tape);
+}
+
+/* what reaches a rule as zero, or as an infinity, is not its work; the entry counts within its direction */
+static void the_adjoint_trace_acquits(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_value x = kg_scalar(tape, 0), reciprocal = kg_reciprocal(tape, x);
+  const kg_value innocent = kg_scale(tape, kg_sqrt(tape, x), 0);
+  assert_int_equal(kg_backward(tape, kg_add(tape, innocent, reciprocal)), KG_OK);
+  assert_string_equal(kg_trace_adjoint(tape).op, "reciprocal");
+  const kg_value y = kg_scale(tape, kg_square(tape, kg_scalar(tape, 3)), 2);
+  const double infinite[2] = {INFINITY, 1}, *seed = infinite;
+  double gradient[6], *result = gradient;
+  assert_int_equal(kg_vjp(tape, 1, 1, &y, &seed, 1, &x, &result), KG_OK);
+  assert_true(kg_is_null(kg_trace_adjoint(tape).value));
+  const double a[3] = {1, 2, 0}, seeds[6] = {1, 1, 0, 1, 1, 1};
+  const kg_value b = kg_input(tape, KG_SHAPE(3), a), root = kg_sqrt(tape, b);
+  seed = seeds;
+  assert_int_equal(kg_vjp(tape, 2, 1, &root, &seed, 1, &b, &result), KG_OK);
+  assert_int_equal(kg_trace_adjoint(tape).index, 2);
   kg_tape_destroy(tape);
 }
 
@@ -538,6 +577,7 @@ int main(void)
     cmocka_unit_test(the_trace_names_the_first_bad_value),
     cmocka_unit_test(primitives_are_traced_by_name),
     cmocka_unit_test(the_adjoint_trace_blames_the_rule_that_did_it),
+    cmocka_unit_test(the_adjoint_trace_acquits),
     cmocka_unit_test(the_third_call_equals_the_first),
     cmocka_unit_test(the_steady_state_allocates_nothing),
     cmocka_unit_test(every_refused_allocation_is_a_status),
