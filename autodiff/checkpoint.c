@@ -1,8 +1,9 @@
-/* Checkpoints: a segment of the record is kept as its inputs and outputs, and recorded anew on a child tape
- * when a sweep arrives. T steps in sqrt(T) segments take memory for sqrt(T) states and one segment.
+/* Checkpoints: a segment of the record is kept as its inputs and outputs, and recorded anew on a
+ * child tape when a sweep arrives. T steps in sqrt(T) segments take memory for sqrt(T) states and
+ * one segment.
  *
- * The outputs of a segment are one block, end to end; the segment's adjoints go on from the sums so far, so
- * that every sum is taken in the order of the unsegmented record. */
+ * The outputs of a segment are one block, end to end; the segment's adjoints go on from the sums so
+ * far, so that every sum is taken in the order of the unsegmented record. */
 #include "autodiff/primitive.h"
 
 #include <string.h>

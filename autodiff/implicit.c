@@ -1,7 +1,8 @@
 /* Solutions x(p) of F(x, p) = 0, differentiated by the implicit function theorem
  *   (dF/dx)' lambda = x_adjoint      p_adjoint += (dF/dp)' (-lambda)
  *   (dF/dx) x_tangent = -(dF/dp) p_tangent
- * with F and its products given by the user (kg_implicit), or F recorded on the graph's child tape (kg_root). */
+ * with F and its products given by the user (kg_implicit), or F recorded on the graph's child tape
+ * (kg_root). */
 #include "autodiff/primitive.h"
 
 #include "kinegrad/derivatives.h"
@@ -40,7 +41,7 @@ static kg_status check_residual(const kg_primitive_call *call, const double *res
   return KG_OK;
 }
 
-/* -- given by the user: saved holds lambda (n), then the user's own numbers --------------------- */
+/* -- given by the user: saved holds lambda (n), then the user's own numbers -------------------- */
 
 static kg_primitive_call inner_call(const kg_primitive_call *call)
 {
@@ -112,7 +113,8 @@ kg_value kg_solve_implicit(kg_tape *tape, const kg_implicit *problem, int count,
 
 /* -- recorded ---------------------------------------------------------------------------------- */
 
-/* LAPACK stores columns: it sees the transpose of our rows. Character arguments have a hidden length. */
+/* LAPACK stores columns: it sees the transpose of our rows. Character arguments have a hidden
+ * length. */
 extern void dgetrf_(const int *m, const int *n, double *a, const int *lda, int *ipiv, int *info);
 extern void dgetrs_(const char *trans, const int *n, const int *nrhs, const double *a,
                     const int *lda, const int *ipiv, double *b, const int *ldb, int *info,

@@ -1,4 +1,5 @@
-/* Custom primitives: recording a call, and the kernels that hand its numbers to the user's callbacks. */
+/* Custom primitives: recording a call, and the kernels that hand its numbers to the user's
+ * callbacks. */
 #include "autodiff/primitive.h"
 
 #include <stddef.h>
@@ -76,8 +77,8 @@ const char *kg_node_name(const kg_node *node)
 
 /* -- numbers for the callbacks ----------------------------------------------------------------- */
 
-/* An entry of the graph is `number` bytes: a float, a double, or two for a complex one. Of it, `width` doubles
- * from number `first` on are handed over. */
+/* An entry of the graph is `number` bytes: a float, a double, or two for a complex one. Of it,
+ * `width` doubles from number `first` on are handed over. */
 typedef struct exchange {
   kg_primitive_frame frame; /* the first member */
   const kg_call *of;
@@ -187,7 +188,8 @@ static kg_status missing(kg_graph *graph, const char *detail)
   return KG_ERR_UNSUPPORTED;
 }
 
-/* f(x + i h d) = f(x) + i h J d while h^2 vanishes beside 1: a complex step needs no more than the JVP */
+/* f(x + i h d) = f(x) + i h J d while h^2 vanishes beside 1: a complex step needs no more than the
+ * JVP */
 static kg_status step_forward(exchange *e, size_t lane)
 {
   const kg_primitive *primitive = e->frame.attributes->primitive;

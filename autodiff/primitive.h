@@ -1,8 +1,8 @@
-/* primitive.h - how primitives are recorded, and what those of the engine itself (implicit.c, checkpoint.c) may
- * use beyond a user's.
+/* primitive.h - how primitives are recorded, and what those of the engine itself (implicit.c,
+ * checkpoint.c) may use beyond a user's.
  *
- * Every primitive is a block of kg_op_primitive whose attributes say which. Callbacks see doubles of one lane;
- * numbers of another kind pass through the graph's scratch. */
+ * Every primitive is a block of kg_op_primitive whose attributes say which. Callbacks see doubles
+ * of one lane; numbers of another kind pass through the graph's scratch. */
 #ifndef AUTODIFF_PRIMITIVE_H
 #define AUTODIFF_PRIMITIVE_H
 
@@ -22,22 +22,23 @@ typedef struct kg_primitive_attributes {
   kg_shape shapes[KG_MAX_OPERANDS]; /* of the operands; stored as far as used */
 } kg_primitive_attributes;
 
-/* What a callback's kg_primitive_call really is. Adjoints it is given to add to are the sums so far. */
+/* What a callback's kg_primitive_call really is. Adjoints it is given to add to are the sums so
+ * far. */
 typedef struct kg_primitive_frame {
   kg_primitive_call call; /* the first member: callbacks get its address */
   const kg_primitive_attributes *attributes;
   kg_graph *graph;
 } kg_primitive_frame;
 
-/* Records a call of attributes' primitive, user, name and segment; the rest is filled in here. known: as in
- * kg_recipe, with attributes' shape then given. */
+/* Records a call of attributes' primitive, user, name and segment; the rest is filled in here.
+ * known: as in kg_recipe, with attributes' shape then given. */
 kg_value kg_record_primitive(kg_tape *tape, kg_primitive_attributes *attributes, int count,
                              const kg_value *operands, const void *known);
 
 /* -- recording within a kernel (checkpoint.c) -------------------------------------------------- */
 
-/* The tape on which this graph's primitives record, of its arithmetic, empty; NULL when memory is refused.
- * Each use begins with this call. */
+/* The tape on which this graph's primitives record, of its arithmetic, empty; NULL when memory is
+ * refused. Each use begins with this call. */
 kg_tape *kg_child_tape(kg_graph *graph);
 
 /* x (size of shape) on the child, as a scalar node or as a tensor, an input or a constant. */
@@ -51,7 +52,8 @@ void kg_child_operands(kg_tape *child, const kg_primitive_frame *frame, const do
 void kg_child_add(kg_tape *child, kg_value value, const double *seed);
 void kg_child_read(const kg_tape *child, kg_value value, double *to);
 
-/* What stopped the child becomes the detail of the graph's failure; its status, KG_OK when it did not fail. */
+/* What stopped the child becomes the detail of the graph's failure; its status, KG_OK when it did
+ * not fail. */
 kg_status kg_child_status(kg_graph *graph);
 
 #endif

@@ -79,8 +79,8 @@ static kg_value operand(const kg_node *node, int k)
   return (kg_value){node->is_block ? node->is.block->input[k] : node->input[k]};
 }
 
-/* Whether the adjoint rule of a block, run alone, gives its operand k something that is not finite. Without memory
- * to try it in: yes. */
+/* Whether the adjoint rule of a block, run alone, gives its operand k something that is not finite.
+ * Without memory to try it in: yes. */
 static bool block_makes_bad(kg_tape *tape, uint32_t index, int k)
 {
   kg_graph *graph = &tape->graph;
@@ -129,7 +129,8 @@ static kg_trace trace_of(const kg_tape *tape, uint32_t index, kg_value to, size_
                     .adjoint = true};
 }
 
-/* An operand may be bad through another of its users: each suspect's rule is run again on its own. */
+/* An operand may be bad through another of its users: each suspect's rule is run again on its
+ * own. */
 kg_trace kg_trace_adjoint(kg_tape *tape)
 {
   const kg_graph *graph = &tape->graph;

@@ -1,5 +1,6 @@
-/* How does the solution of a solver move with its parameters? A weight hangs between two springs; Newton's method
- * finds where. The formula of the forces, written once, serves the solver and the derivative. */
+/* How does the solution of a solver move with its parameters? A weight hangs between two springs;
+ * Newton's method finds where. The formula of the forces, written once, serves the solver and the
+ * derivative. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -10,7 +11,8 @@
 #include "kinegrad/primitive.h"
 
 /* [residual] */
-/* F(x, k): forces on the weight at x (2), of two springs of rest length 1 and stiffness k[i], and gravity */
+/* F(x, k): forces on the weight at x (2), of two springs of rest length 1 and stiffness k[i], and
+ * gravity */
 static kg_value forces(kg_tape *tape, kg_value x, int count, const kg_value *k, void *user)
 {
   static const double hook[2][2] = {{-1, 0}, {1, 0}}, weight[2] = {0, 1};

@@ -19,6 +19,10 @@
 #include "kinegrad/random.h"
 #include "kinegrad/vec3.h"
 
+#ifdef __clang__ /* glibc offers it to gcc alone */
+#define CMPLX(re, im) __builtin_complex((double)(re), (double)(im))
+#endif
+
 /* |a - b| <= tol * max(1, |a|, |b|), both values in the message when it does not hold */
 #define assert_close(a, b, tol)                                                                    \
   do {                                                                                             \

@@ -1,4 +1,5 @@
-/* Checkpoints: gradients of a segmented record against the same record in one piece, bit for bit; memory. */
+/* Checkpoints: gradients of a segmented record against the same record in one piece, bit for bit;
+ * memory. */
 #include "support.h"
 
 #include "autodiff/tape.h"
@@ -15,7 +16,7 @@ static kg_tape *new_tape(kg_precision precision)
   return tape;
 }
 
-/* -- a chain: x <- x + h sin(W x) + k x y, y <- y - h sum(x) ------------------------------------- */
+/* -- a chain: x <- x + h sin(W x) + k x y, y <- y - h sum(x) ----------------------------------- */
 
 enum { N = 6 };
 
@@ -149,8 +150,8 @@ static double bytes_of_chain(int steps, int piece)
   return (double)bytes;
 }
 
-/* T steps in sqrt(T) pieces: sixteen times the steps in four times the memory, as blocks double in size at
- * most five times */
+/* T steps in sqrt(T) pieces: sixteen times the steps in four times the memory, as blocks double in
+ * size at most five times */
 static void memory_grows_with_the_square_root_of_the_steps(void **test_state)
 {
   (void)test_state;
@@ -162,7 +163,7 @@ static void memory_grows_with_the_square_root_of_the_steps(void **test_state)
   assert_at_most(8 * large, whole);
 }
 
-/* -- kinds of outputs ---------------------------------------------------------------------------- */
+/* -- kinds of outputs -------------------------------------------------------------------------- */
 
 /* outputs: an input as it came, a scalar, a tensor used by the next one, that one, a constant */
 static kg_status mixed_segment(kg_tape *tape, void *user, int input_count, const kg_value *inputs,
@@ -216,7 +217,7 @@ static void outputs_keep_their_kind_and_shape(void **test_state)
   kg_tape_destroy(tape);
 }
 
-/* -- programs ------------------------------------------------------------------------------------ */
+/* -- programs ---------------------------------------------------------------------------------- */
 
 static void programs_run_segments_at_new_inputs(void **test_state)
 {
@@ -262,10 +263,10 @@ static void programs_run_segments_at_new_inputs(void **test_state)
   kg_program_destroy(program);
 }
 
-/* -- failures ------------------------------------------------------------------------------------ */
+/* -- failures ---------------------------------------------------------------------------------- */
 
-/* What goes wrong: 1 an operator, 2 the segment itself, 3 an output left out, 4 a second run that differs,
- * 5 an operator of the second run */
+/* What goes wrong: 1 an operator, 2 the segment itself, 3 an output left out, 4 a second run that
+ * differs, 5 an operator of the second run */
 static kg_status faulty_segment(kg_tape *tape, void *user, int input_count, const kg_value *inputs,
                                 int output_count, kg_value *outputs)
 {
@@ -388,7 +389,7 @@ static void counts_out_of_range_are_refused(void **test_state)
   kg_tape_destroy(tape);
 }
 
-/* -- memory -------------------------------------------------------------------------------------- */
+/* -- memory ------------------------------------------------------------------------------------ */
 
 static bool survives(int allowed)
 {

@@ -1,5 +1,5 @@
-/* Primitives of the user's own, implicit solutions and differentiated solvers, against closed forms and
- * complex steps. */
+/* Primitives of the user's own, implicit solutions and differentiated solvers, against closed forms
+ * and complex steps. */
 #include "support.h"
 
 #include "autodiff/tape.h"
@@ -17,7 +17,7 @@ static kg_tape *new_tape(kg_precision precision)
   return tape;
 }
 
-/* -- a custom primitive: both eigenvalues of (a b; b c), the larger first ------------------------ */
+/* -- a custom primitive: both eigenvalues of (a b; b c), the larger first ---------------------- */
 
 /* m = (a + c)/2, d = (a - c)/2, r = sqrt(d^2 + b^2): the eigenvalues are m + r and m - r */
 static kg_status eigenvalue_shape(void *user, int count, const kg_shape *shapes, kg_shape *result,
@@ -403,7 +403,7 @@ static void sweeps_stop_where_a_primitive_fails(void **state)
   kg_tape_destroy(tape);
 }
 
-/* -- implicit: Kepler's equation ----------------------------------------------------------------- */
+/* -- implicit: Kepler's equation --------------------------------------------------------------- */
 
 /* E - e sin E = M by Newton's method; dE/dM = 1/(1 - e cos E), dE/de = sin E/(1 - e cos E) */
 static double eccentric_anomaly(double e, double M)
@@ -563,7 +563,7 @@ static void without_its_forward_pair_an_implicit_primitive_has_no_jvp(void **sta
   kg_tape_destroy(tape);
 }
 
-/* -- differentiated solvers ---------------------------------------------------------------------- */
+/* -- differentiated solvers -------------------------------------------------------------------- */
 
 /* A x = b, x (n): with lambda = A^-T w the gradients of w'x are -lambda x' and lambda. */
 static kg_value linear_residual(kg_tape *tape, kg_value x, int count, const kg_value *p, void *user)
@@ -700,8 +700,8 @@ static void a_cubic_root_equals_complex_steps_of_cardano(void **state)
   kg_tape_destroy(tape);
 }
 
-/* The point of the ellipsoid x^2/a^2 + y^2/b^2 = 1 at the angle t: x = a cos t, y = b sin t, given by
- * two equations in (x, y): the ellipse, and a y cos t = b x sin t. */
+/* The point of the ellipsoid x^2/a^2 + y^2/b^2 = 1 at the angle t: x = a cos t, y = b sin t, given
+ * by two equations in (x, y): the ellipse, and a y cos t = b x sin t. */
 static kg_value ellipse_residual(kg_tape *tape, kg_value point, int count, const kg_value *p,
                                  void *user)
 {

@@ -1,4 +1,5 @@
-/* The tape's life: marks and rewinding, errors, null values, NaN and its traces, repeated calls, memory, threads. */
+/* The tape's life: marks and rewinding, errors, null values, NaN and its traces, repeated calls,
+ * memory, threads. */
 #include "support.h"
 
 #include "autodiff/tape.h"
@@ -17,7 +18,7 @@ static kg_tape *new_tape(kg_precision precision)
   return tape;
 }
 
-/* -- a record with something of everything ------------------------------------------------------- */
+/* -- a record with something of everything ----------------------------------------------------- */
 
 enum { ROWS = 5, COLUMNS = 7 };
 
@@ -82,7 +83,7 @@ static kg_value record_loss(kg_tape *tape, model m, int frame)
   return sum;
 }
 
-/* -- marks --------------------------------------------------------------------------------------- */
+/* -- marks ------------------------------------------------------------------------------------- */
 
 static void rewinding_keeps_what_lies_before_the_mark(void **state)
 {
@@ -137,7 +138,7 @@ static void adjoints_belong_to_the_last_sweep(void **state)
   kg_tape_destroy(tape);
 }
 
-/* -- errors -------------------------------------------------------------------------------------- */
+/* -- errors ------------------------------------------------------------------------------------ */
 
 static void the_first_failure_stays_until_the_rewind(void **state)
 {
@@ -208,7 +209,7 @@ static void malformed_shapes_are_refused(void **state)
   kg_tape_destroy(tape);
 }
 
-/* -- not-a-number -------------------------------------------------------------------------------- */
+/* -- not-a-number ------------------------------------------------------------------------------ */
 
 /* a zero adjoint stops, even at an infinite slope */
 static void a_zero_adjoint_stops(void **state)
@@ -367,7 +368,8 @@ static void the_adjoint_trace_blames_the_rule_that_did_it(void **state)
   kg_tape_destroy(tape);
 }
 
-/* what reaches a rule as zero, or as an infinity, is not its work; the entry counts within its direction */
+/* what reaches a rule as zero, or as an infinity, is not its work; the entry counts within its
+ * direction */
 static void the_adjoint_trace_acquits(void **state)
 {
   (void)state;
@@ -389,7 +391,7 @@ static void the_adjoint_trace_acquits(void **state)
   kg_tape_destroy(tape);
 }
 
-/* -- repeated calls ------------------------------------------------------------------------------ */
+/* -- repeated calls ---------------------------------------------------------------------------- */
 
 static void the_third_call_equals_the_first(void **state)
 {
@@ -410,7 +412,7 @@ static void the_third_call_equals_the_first(void **state)
   kg_tape_destroy(tape);
 }
 
-/* -- memory -------------------------------------------------------------------------------------- */
+/* -- memory ------------------------------------------------------------------------------------ */
 
 typedef struct counting_heap {
   int calls;
@@ -503,7 +505,7 @@ static void every_refused_allocation_is_a_status(void **state)
   assert_true(allowed > 10);
 }
 
-/* -- threads ------------------------------------------------------------------------------------- */
+/* -- threads ----------------------------------------------------------------------------------- */
 
 enum { THREADS = 8, ROUNDS = 20 };
 

@@ -28,6 +28,9 @@ typedef float real;
 #else
 #include <complex.h>
 #undef I
+#ifndef CMPLX /* glibc offers it to gcc alone */
+#define CMPLX(re, im) __builtin_complex((double)(re), (double)(im))
+#endif
 typedef double _Complex real;
 #define KG_TYPE c64
 #define FN(name) c##name
