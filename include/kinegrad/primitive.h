@@ -42,7 +42,7 @@ typedef struct kg_primitive {
   kg_status (*vjp)(const kg_primitive_call *call, const double *adjoint,
                    double *const *in_adjoints);
   /* Optional. Adds sum_i (d out / d in[i]) tangents[i] to out_tangent, which comes zeroed; NULL
-   * entries are zero. */
+   * entries are zero. Without it forward sweeps, kg_jacobian's too, are KG_ERR_UNSUPPORTED. */
   kg_status (*jvp)(const kg_primitive_call *call, const double *const *tangents,
                    double *out_tangent);
   /* Optional. Operands for test number `index` (derivatives exist there): shapes and numbers in
@@ -63,6 +63,9 @@ typedef struct kg_primitive {
  * once a lane. */
 KG_API kg_value kg_apply(kg_tape *tape, const kg_primitive *primitive, int count,
                          const kg_value *operands);
+
+/* Implicit primitives, differentiated solvers and checkpoints go through complex steps by their JVP;
+ * Hessian products through them are refused by name. */
 
 /* -- implicit primitives ----------------------------------------------------------------------- */
 
@@ -130,7 +133,8 @@ typedef kg_status (*kg_checkpointed)(kg_tape *tape, void *user, int input_count,
 
 /* Runs the segment and keeps only its inputs and outputs; the sweeps record it anew on a tape of
  * their own, whose memory all checkpoints of this tape share. Only the inputs passed are
- * differentiated. user must stay valid until the last sweep. Nesting is allowed. */
+ * differentiated. user must stay valid until the last sweep. Nesting is allowed. A sweep of several
+ * directions records the segment once for each. */
 KG_API kg_status kg_checkpoint(kg_tape *tape, kg_checkpointed segment, void *user, int input_count,
                                const kg_value *inputs, int output_count, kg_value *outputs);
 
