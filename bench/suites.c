@@ -6,6 +6,8 @@ static const kg_bench_group autodiff[] = {
   {kg_bench_gmm_cases, BENCH_GMM_CASES},
   {kg_bench_ba_cases, BENCH_BA_CASES},
   {kg_bench_net_cases, BENCH_NET_CASES},
+  {kg_bench_lstm_cases, BENCH_LSTM_CASES},
+  {kg_bench_hand_cases, BENCH_HAND_CASES},
 };
 
 const kg_bench_suite kg_bench_suites[] = {

@@ -29,10 +29,14 @@ enum {
   BENCH_GMM_CASES = 6,
   BENCH_BA_CASES = 5,
   BENCH_NET_CASES = 6,
+  BENCH_LSTM_CASES = 1,
+  BENCH_HAND_CASES = 3,
 };
 
 extern const kg_bench_case kg_bench_gmm_cases[BENCH_GMM_CASES];
 extern const kg_bench_case kg_bench_ba_cases[BENCH_BA_CASES];
 extern const kg_bench_case kg_bench_net_cases[BENCH_NET_CASES];
+extern const kg_bench_case kg_bench_lstm_cases[BENCH_LSTM_CASES];
+extern const kg_bench_case kg_bench_hand_cases[BENCH_HAND_CASES];
 
 #endif

@@ -1,4 +1,4 @@
-/* bench/autodiff/problems.h - the problems on which gradients are timed: two objectives of ADBench
+/* bench/autodiff/problems.h - the problems on which gradients are timed: four objectives of ADBench
  * (F. Srajer, Z. Kukelova, A. Fitzgibbon, A benchmark of selected algorithmic differentiation tools
  * on some problems in computer vision and machine learning, Optim. Methods Softw. 33 (2018)) and
  * three nets; each with a plain evaluation, in straight loops, that knows nothing of the library. */
@@ -128,6 +128,58 @@ void kg_bench_products_run(kg_bench_products *products);
 void kg_bench_products_destroy(kg_bench_products *products);
 /* Floating-point operations of one run. */
 double kg_bench_products_flops(const kg_bench_products *products);
+
+/* ---- recurrent net --------------------------------------------------------------------------- */
+
+/* theta: of each layer 4 rows of weights and 4 of biases, (layers x 8 x bits); then 3 rows: factors
+ * of the input, factors and terms of the output. All numbers random (lstm_loops.h has the formulas). */
+typedef struct kg_bench_lstm {
+  int bits, layers, length;
+  int parameter_count;
+  double *theta; /* (parameter_count)                       */
+  double *state; /* (layers x 2 x bits) hidden, memory       */
+  double *text;  /* (length x bits) of zeros and ones        */
+  kg_arena arena;
+} kg_bench_lstm;
+
+kg_status kg_bench_lstm_create(kg_bench_lstm **lstm, int bits, int layers, int length,
+                               uint64_t seed);
+void kg_bench_lstm_destroy(kg_bench_lstm *lstm);
+/* Numbers of work memory. */
+size_t kg_bench_lstm_work(const kg_bench_lstm *lstm);
+double kg_bench_lstm_loss(const kg_bench_lstm *lstm, const double *theta, double *work);
+/* Loss and gradient by complex steps: slow, exact to rounding. */
+kg_status kg_bench_lstm_reference(const kg_bench_lstm *lstm, double *loss, double *gradient);
+
+/* ---- hand ------------------------------------------------------------------------------------ */
+
+enum { KG_BENCH_HAND_POSE = 26 }; /* rotation vector, translation, 4 angles of each finger */
+
+/* All numbers random (hand_loops.h has the formulas). */
+typedef struct kg_bench_hand {
+  int bones, vertices, correspondences;
+  bool complicated;       /* residuals of points on triangles, two parameters for each */
+  int *parent;            /* (bones) -1 for the first                                  */
+  int *angle;             /* (bones x 2) entries of theta: about x, y; -1 for none     */
+  double *base, *inverse; /* (bones x 4 x 4)                                  */
+  double *points;         /* (4 x vertices), the last row ones                */
+  double *weight;         /* (bones x vertices)                               */
+  double *theta;          /* pose, (correspondences x 2)                      */
+  int32_t *corner;        /* (correspondences x 3) vertices                   */
+  double *target;         /* (correspondences x 3)                            */
+  kg_arena arena;
+} kg_bench_hand;
+
+kg_status kg_bench_hand_create(kg_bench_hand **hand, int vertices, int correspondences,
+                               bool complicated, uint64_t seed);
+void kg_bench_hand_destroy(kg_bench_hand *hand);
+size_t kg_bench_hand_work(const kg_bench_hand *hand);
+/* of the Jacobian: the pose, and where complicated a residual's own two parameters */
+int kg_bench_hand_columns(const kg_bench_hand *hand);
+void kg_bench_hand_residuals(const kg_bench_hand *hand, const double *theta, double *residual,
+                             double *work);
+/* residual (3 correspondences), J (3 correspondences x columns) by complex steps. */
+kg_status kg_bench_hand_reference(const kg_bench_hand *hand, double *residual, double *J);
 
 #ifdef __cplusplus
 }
