@@ -92,14 +92,15 @@ KG_API kg_value kg_combine(kg_tape *tape, int count, const double *factors, cons
 KG_API kg_value kg_sum(kg_tape *tape, kg_value a, int axis);
 KG_API kg_value kg_sum_all(kg_tape *tape, kg_value a);
 KG_API kg_value kg_sum_squares(kg_tape *tape, kg_value a, int axis);
-/* Euclidean norm; derivative at the zero vector: 0. */
+/* Euclidean norm without overflow; derivative at the zero vector: 0. */
 KG_API kg_value kg_norm(kg_tape *tape, kg_value a, int axis);
 /* sum of a b along the axis; shapes equal. */
 KG_API kg_value kg_dot(kg_tape *tape, kg_value a, kg_value b, int axis);
-/* Extreme along the axis; the first of equal ones takes the derivative. */
+/* Extreme along the axis; the first of equal ones takes the derivative. NaN if there is one. */
 KG_API kg_value kg_max_along(kg_tape *tape, kg_value a, int axis);
 KG_API kg_value kg_min_along(kg_tape *tape, kg_value a, int axis);
-/* log sum exp, shifted by the largest entry. */
+/* log sum exp, shifted by the largest entry. Entries of +infinity share the derivative equally, and
+ * so do those of a row of -infinity. */
 KG_API kg_value kg_logsumexp(kg_tape *tape, kg_value a, int axis);
 /* exp(a - logsumexp a); keeps the axis. */
 KG_API kg_value kg_softmax(kg_tape *tape, kg_value a, int axis);
