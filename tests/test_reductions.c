@@ -1,5 +1,5 @@
-/* Reductions and linear combinations: values against plain loops in long double, derivatives against
- * complex steps, edge cases, the same bits on every instruction set. */
+/* Reductions and linear combinations: values against plain loops in long double, derivatives
+ * against complex steps, edge cases, the same bits on every instruction set. */
 #include "tape_support.h"
 
 typedef kg_value along(kg_tape *tape, kg_value a, int axis);
@@ -13,7 +13,7 @@ static kg_tape *new_tape(kg_precision precision, int simd)
   return tape;
 }
 
-/* -- references: of the entries a[0], a[step], ...; the result's entry `at` ---------------------- */
+/* -- references: of the entries a[0], a[step], ...; the result's entry `at` -------------------- */
 
 static long double sum_reference(const double *a, size_t length, size_t step, size_t at)
 {

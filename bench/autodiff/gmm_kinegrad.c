@@ -1,8 +1,8 @@
 /* The Gaussian mixture on a kinegrad tape, written in tensors.
  *
- * |Q_k (x_i - mu_k)|^2 is the sum of squares of Q_k x_i - Q_k mu_k, so one product serves all k and i:
+ * |Q_k (x_i - mu_k)|^2 is the sum of squares of Q_k x_i - Q_k mu_k: one product serves all k and i:
  *
- *   Y (K, D, n) = [Q_k, -Q_k mu_k] (K, D, D + 1) times the points, a row of ones below, (D + 1, n). */
+ *   Y (K, D, n) = [Q_k, -Q_k mu_k] (K, D, D + 1) times the points over a row of ones (D + 1, n). */
 #include <stdlib.h>
 
 #include "bench/autodiff/cases.h"
