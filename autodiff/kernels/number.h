@@ -28,6 +28,9 @@ typedef float real;
 #else
 #include <complex.h>
 #undef I
+#ifndef CMPLX /* not known to clang with older C libraries */
+#define CMPLX(x, y) __builtin_complex((double)(x), (double)(y))
+#endif
 #ifndef CMPLX /* glibc offers it to gcc alone */
 #define CMPLX(re, im) __builtin_complex((double)(re), (double)(im))
 #endif
