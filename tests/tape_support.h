@@ -195,7 +195,7 @@ static inline void check_operator(kg_tape *tape, int count, const kg_value *inpu
   free(step);
 }
 
-/* The newest node of the tape, run on LANES lanes with different numbers in each. */
+/* The node of output, run on LANES lanes with different numbers in each. */
 static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *random)
 {
   enum { LANES = 3, MOST = 16 };
@@ -207,10 +207,12 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
   const size_t m = block->size;
   size_t terms = m; /* of a sum, at most: its rounding error grows with their root */
   double *wide[MOST], *one[MOST], *wide_adjoint[MOST], *one_adjoint[MOST];
+  double *wide_tangent[MOST], *one_tangent[MOST];
   const void *in[MOST];
   size_t n[MOST];
   double *out = calloc(m * LANES + 1, sizeof *out), *out_one = calloc(m + 1, sizeof *out_one);
   double *saved = calloc(block->saved_size * LANES + 1, sizeof *saved);
+  double *t = random_numbers(random, m * LANES), *t_one = random_numbers(random, m);
   double *w = random_numbers(random, m * LANES), *w_one = calloc(m + 1, sizeof *w_one);
   for (int k = 0; k < block->count; ++k) {
     const kg_node *operand = &graph->node[kg_index(block->input[k])];
@@ -221,6 +223,8 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
     one[k] = calloc(n[k] + 1, sizeof(double));
     wide_adjoint[k] = calloc(n[k] * LANES + 1, sizeof(double));
     one_adjoint[k] = calloc(n[k] + 1, sizeof(double));
+    wide_tangent[k] = random_numbers(random, n[k] * LANES);
+    one_tangent[k] = calloc(n[k] + 1, sizeof(double));
     for (size_t i = 0; i < n[k] * LANES; ++i) {
       const bool mask = data[i / LANES] == 0 || data[i / LANES] == 1;
       wide[k][i] = data[i / LANES] * (mask ? 1 : 1 + 0.01 * kg_random_uniform(random));
@@ -234,11 +238,13 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
   }
   assert_int_equal(kernel->forward(&call), KG_OK);
   kernel->vjp(&call, w, (void *const *)wide_adjoint);
+  kernel->jvp(&call, (const void *const *)wide_tangent, t);
   for (size_t lane = 0; lane < LANES; ++lane) {
     kg_call single = {block->attributes, m, 1, block->count, in, out_one, saved, NULL};
     for (int k = 0; k < block->count; ++k) {
       for (size_t e = 0; e < n[k]; ++e) {
         one[k][e] = wide[k][e * LANES + lane];
+        one_tangent[k][e] = wide_tangent[k][e * LANES + lane];
         one_adjoint[k][e] = 0;
       }
       in[k] = one[k];
@@ -248,9 +254,12 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
     }
     assert_int_equal(kernel->forward(&single), KG_OK);
     kernel->vjp(&single, w_one, (void *const *)one_adjoint);
+    kernel->jvp(&single, (const void *const *)one_tangent, t_one);
     for (size_t e = 0; e < m; ++e) {
       const double difference = fabs(out[e * LANES + lane] - out_one[e]);
+      const double moved = fabs(t[e * LANES + lane] - t_one[e]);
       assert_at_most(difference, tolerance * fmax(largest(out_one, m), 1e-300));
+      assert_at_most(moved, tolerance * fmax(largest(t_one, m), 1e-300));
     }
     for (int k = 0; k < block->count; ++k) {
       for (size_t e = 0; e < n[k]; ++e) {
@@ -264,8 +273,12 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
     free(one[k]);
     free(wide_adjoint[k]);
     free(one_adjoint[k]);
+    free(wide_tangent[k]);
+    free(one_tangent[k]);
   }
   free(out);
+  free(t);
+  free(t_one);
   free(out_one);
   free(saved);
   free(w);

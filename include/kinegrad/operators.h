@@ -159,9 +159,11 @@ KG_API kg_value kg_rotate(kg_tape *tape, kg_value q, kg_value v);
 /* exp: rotation vector to unit quaternion; smooth through zero. */
 KG_API kg_value kg_rotation_exp(kg_tape *tape, kg_value r);
 /* log: shortest rotation vector of a unit quaternion; q and -q give the same. Differentiated as
- * 2 atan2(|u|, |w|) sign(w) u/|u|, whatever |q|; at w = 0 the derivative is that of w > 0. */
+ * 2 atan2(|u|, |w|) sign(w) u/|u|, whatever |q|; at w = 0 the derivative is that of w > 0.
+ * The zero quaternion gives NaN. */
 KG_API kg_value kg_rotation_log(kg_tape *tape, kg_value q);
-/* a / |a| along the last axis (any extent); the zero vector gives 0 with derivative 0. */
+/* a / |a| along the last axis (any extent); the zero vector gives 0 with derivative 0, as
+ * does one too short for its inverse to be a number. */
 KG_API kg_value kg_normalize(kg_tape *tape, kg_value a);
 
 /* -- graphs and time --------------------------------------------------------------------------- */
