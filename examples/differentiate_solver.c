@@ -11,7 +11,7 @@
 #include "kinegrad/primitive.h"
 
 /* [residual] */
-/* F(x, k): forces on the weight at x (2), of two springs of length 1 and stiffness k, and gravity */
+/* F(x, k): forces on the weight at x (2), of springs of length 1 and stiffness k, and gravity */
 static kg_value forces(kg_tape *tape, kg_value x, int count, const kg_value *k, void *user)
 {
   static const double hook[2][2] = {{-1, 0}, {1, 0}}, weight[2] = {0, 1};
