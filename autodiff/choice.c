@@ -20,8 +20,8 @@ kg_value kg_where(kg_tape *tape, kg_value mask, kg_value a, kg_value b)
   return kg_record_elementwise(tape, kg_op_where, 3, operands, 0, 0, false);
 }
 
-/* The guard is a node whose value nobody reads. It is kept between constants too: a program may change
- * them. */
+/* The guard is a node whose value nobody reads. It is kept between constants too: a program may
+ * change them. */
 bool kg_is_less(kg_tape *tape, kg_value a, kg_value b)
 {
   const kg_value operands[2] = {a, b};
