@@ -4,6 +4,7 @@
  *   n, m   inputs, outputs of f       J (m, n)   analytic, row o by f's J' e_o
  *   N, E (m, n)   numerical derivative and the estimate of its error */
 #include "autodiff/gradcheck.h"
+#include "autodiff/primitive.h"
 
 #include "kinegrad/arena.h"
 #include "kinegrad/derivatives.h"
@@ -21,7 +22,7 @@ enum {
   HALVINGS = 48 /* of the step in a Taylor test                       */
 };
 static const double ratio = 1.5;       /* of the steps of neighbouring rows       */
-static const double trust = 100;       /* an estimate may be so many times too small */
+static const double trust = 1000;      /* an estimate may be so many times too small */
 static const double least_order = 1.5; /* between a wrong derivative and a right one */
 
 typedef struct check {
@@ -33,8 +34,9 @@ typedef struct check {
   kg_arena arena;
   kg_error *error;
   kg_gradcheck_report *report;
-  double tolerance, largest; /* entry of J */
-  double *J, *forward;       /* (m, n); forward: by J e_j, NULL without a jvp */
+  double tolerance;
+  double size, largest; /* of the values, of the entries of J */
+  double *J, *forward;  /* (m, n); forward: by J e_j, NULL without a jvp */
   double *N, *E;
   double *reach;                 /* (n) step from which differences settled, over def->step */
   double *y, *noise;             /* (m) f(x), and the size of its rounding errors */
@@ -122,6 +124,12 @@ static void random_direction(check *c, double *d, size_t n)
   }
 }
 
+/* as far as x_j itself: what a move means where no differences have told */
+static double own_reach(const check *c, size_t j)
+{
+  return c->x[j] != 0 ? fabs(c->x[j]) : 1;
+}
+
 static double unit_of(const check *c, size_t j)
 {
   return fmax(1, fabs(c->x[j]));
@@ -129,11 +137,12 @@ static double unit_of(const check *c, size_t j)
 
 /* -- the analytic derivative ------------------------------------------------------------------- */
 
-static void note_largest(check *c, const double *row, size_t count)
+static double largest_of(const double *a, size_t count, double largest)
 {
-  for (size_t j = 0; j < count; ++j) {
-    c->largest = fmax(c->largest, fabs(row[j]));
+  for (size_t i = 0; i < count; ++i) {
+    largest = fmax(largest, fabs(a[i]));
   }
+  return largest;
 }
 
 static kg_status analytic_rows(check *c)
@@ -143,7 +152,7 @@ static kg_status analytic_rows(check *c)
     memset(c->w, 0, c->m * sizeof *c->w);
     c->w[o] = 1;
     status = vjp(c, c->w, c->J + o * c->n);
-    note_largest(c, c->J + o * c->n, c->n);
+    c->largest = largest_of(c->J + o * c->n, c->n, c->largest);
   }
   return status;
 }
@@ -256,8 +265,8 @@ static kg_status extrapolated_differences(check *c, size_t j, double h)
   return status;
 }
 
-/* Takes the table's answer where it is the surer one; of two that contradict each other, the one from the
- * smaller step: the larger one skipped something. */
+/* Takes the table's answer where it is the surer one, and where it clearly contradicts that of the larger steps: they
+ * skipped something. */
 static bool keep_better(check *c, size_t j)
 {
   bool kept = false;
@@ -310,15 +319,17 @@ static double over(double error, double size)
   return error == 0 ? 0 : error / size;
 }
 
-/* what the error of entry (o, j) is put over */
+/* What the error of entry (o, j) is put over: at least the size whose rounding error is just tolerated. */
 static double size_of_entry(const check *c, size_t o, size_t j, double a)
 {
   const double N = c->N[o * c->n + j], E = c->E[o * c->n + j];
   const bool exact = c->f->complex_step != NULL;
-  const double least = (exact ? 1e-2 : 1e-5) * fabs(c->y[o]) / unit_of(c, j);
-  const double largest = fmax(fmax(c->largest, fabs(N)), least);
+  const double value = c->size / unit_of(c, j);
+  const double largest = fmax(fmax(c->largest, fabs(N)), (exact ? 1e-2 : 1e-5) * value);
   if (exact) return largest;
-  return fmax(fmax(fabs(a), fabs(N)), fmin(largest, trust * E / c->tolerance));
+  const double rounding = 4 * DBL_EPSILON * fmax(largest, value);
+  return fmax(fmax(fabs(a), fabs(N)),
+              fmax(rounding, fmin(largest * c->tolerance, trust * E)) / c->tolerance);
 }
 
 static void judge(check *c, size_t o, size_t j, double a, double N, double size)
@@ -348,7 +359,7 @@ static kg_status check_entries(check *c)
   kg_status status = analytic_rows(c);
   if (status == KG_OK && c->f->jvp) status = analytic_columns(c);
   for (size_t j = 0; j < c->n && status == KG_OK; ++j) {
-    c->reach[j] = unit_of(c, j);
+    c->reach[j] = own_reach(c, j);
     status = c->f->complex_step ? complex_column(c, j) : difference_column(c, j);
   }
   for (size_t o = 0; o < c->m && status == KG_OK; ++o) {
@@ -393,21 +404,52 @@ static double median(double *a, int count)
   return a[count / 2];
 }
 
-/* Median order over the last five halvings whose remainders stand clear of the rounding errors. +inf when there
- * are fewer than three, or when the remainder falls to rounding all at once: f is linear from there on. */
+/* Median order over the last five halvings whose remainders stand clear of the rounding errors: of those measured,
+ * and of what is left nine halvings later, where even order 1 leaves 1/512. +inf when there are fewer than five, or
+ * when the remainder falls to rounding all at once: f is linear from there on. */
 static double order_of(const check *c, size_t o)
 {
-  double order[5];
+  enum { LATER = 9, NEEDED = 5 };
+  double order[NEEDED], noise = c->noise[o];
   int count = 0;
-  for (int k = HALVINGS - 2; k >= 0 && count < 5; --k) {
-    const double coarse = c->remainder[(size_t)k * c->m + o];
-    const double fine = c->remainder[(size_t)(k + 1) * c->m + o];
-    const bool clear = fine > 50 * c->noise[o] && coarse > 50 * c->noise[o] && coarse < HUGE_VAL;
-    if (clear && count == 0 && k < HALVINGS - 2 && fine > 1000 * c->noise[o]) return HUGE_VAL;
+  for (int k = HALVINGS - 1; k >= 0 && count < NEEDED; --k) {
+    const double *R = c->remainder + (size_t)k * c->m + o;
+    if (k + LATER < HALVINGS) noise = fmax(noise, R[LATER * c->m]);
+    if (k + 2 * LATER >= HALVINGS) continue;
+    const double coarse = R[0], fine = R[c->m], next = R[2 * c->m];
+    const bool clear = fine > 50 * noise && coarse > 50 * noise && coarse < HUGE_VAL;
+    if (clear && count == 0 && fine > 1000 * fmax(next, noise)) return HUGE_VAL;
     if (clear) order[count++] = log2(coarse / fine);
     if (!clear && count) break;
   }
-  return count < 3 ? HUGE_VAL : median(order, count);
+  return count < NEEDED ? HUGE_VAL : median(order, count);
+}
+
+/* Rounding errors of f near the point, not only at it: its sixth differences along d over steps so short that the
+ * sixth power of them vanishes. */
+static kg_status measure_noise_along(check *c)
+{
+  enum { POINTS = 9, DIFFERENCES = 6 };
+  const double h = ldexp(c->def->step, -10),
+               spread = 20; /* of the sum of 7 errors, binomial weights */
+  const double least = DBL_EPSILON * c->def->step * c->size; /* of J, times a step */
+  kg_status status = KG_OK;
+  for (int i = 0; i < POINTS && status == KG_OK; ++i) {
+    for (size_t j = 0; j < c->n; ++j) {
+      c->point[j] = c->x[j] + i * h * c->reach[j] * c->d[j];
+    }
+    status = value_near(c, c->point, c->table[0] + (size_t)i * c->m);
+  }
+  for (int k = 1; k <= DIFFERENCES; ++k) {
+    for (size_t i = 0; i < (size_t)(POINTS - k) * c->m; ++i) {
+      c->table[0][i] = c->table[0][i + c->m] - c->table[0][i];
+    }
+  }
+  for (size_t i = 0; i < (POINTS - DIFFERENCES) * c->m; ++i) {
+    double *noise = &c->noise[i % c->m];
+    *noise = fmax(fmax(*noise, least), fabs(c->table[0][i]) / spread);
+  }
+  return status;
 }
 
 /* along d, which is scaled to the steps that settled */
@@ -434,7 +476,8 @@ static kg_status taylor_remainders(check *c)
 static kg_status taylor_test(check *c)
 {
   random_direction(c, c->d, c->n);
-  const kg_status status = taylor_remainders(c);
+  kg_status status = measure_noise_along(c);
+  if (status == KG_OK) status = taylor_remainders(c);
   for (size_t o = 0; o < c->m && status == KG_OK; ++o) {
     const double order = order_of(c, o);
     if (!(order >= c->report->taylor_order)) c->report->taylor_order = order;
@@ -518,6 +561,7 @@ static kg_status run(check *c)
   if (status != KG_OK) return status;
   compare(c, &first, &again);
   memcpy(c->y, first.y, c->m * sizeof *c->y);
+  c->size = largest_of(c->y, c->m, 0);
   status = measure_noise(c);
   if (status == KG_OK) status = check_entries(c);
   if (status == KG_OK) status = check_directions(c);
@@ -552,6 +596,25 @@ kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
   return status;
 }
 
+static double worse(double a, double b)
+{
+  return isnan(a) || a >= b ? a : b;
+}
+
+void kg_gradcheck_merge(kg_gradcheck_report *worst, const kg_gradcheck_report *r)
+{
+  const double known = worst->max_relative_error / worst->tolerance;
+  const bool keep = isnan(known) || known >= r->max_relative_error / r->tolerance;
+  kg_gradcheck_report sum = keep ? *worst : *r;
+  sum.name = worst->name;
+  sum.passed = worst->passed && r->passed;
+  sum.error_estimate = worse(worst->error_estimate, r->error_estimate);
+  sum.dot_test = worse(worst->dot_test, r->dot_test);
+  sum.taylor_order = fmin(worst->taylor_order, r->taylor_order);
+  sum.repeatable = worst->repeatable && r->repeatable;
+  *worst = sum;
+}
+
 /* -- recorded functions ------------------------------------------------------------------------ */
 
 typedef struct recorded {
@@ -560,15 +623,15 @@ typedef struct recorded {
   void *user;
   kg_shape shape;
   kg_value x, y;
-  kg_program *program; /* in complex arithmetic, recorded at beside */
-  const double *beside;
+  kg_gradcheck_truth truth;
+  kg_program *program; /* of the truth, in complex arithmetic */
 } recorded;
 
-static kg_status record(recorded *r, const double *x)
+static kg_status record(recorded *r, kg_recorded function, const double *x)
 {
   kg_tape_rewind(r->tape, (kg_tape_mark){0});
   r->x = kg_input(r->tape, r->shape, x);
-  r->y = r->function(r->tape, r->x, r->user);
+  r->y = function(r->tape, r->x, r->user);
   const kg_status status = kg_tape_status(r->tape);
   return status == KG_OK && kg_is_null(r->y) ? KG_ERR_UNDEFINED : status;
 }
@@ -576,7 +639,7 @@ static kg_status record(recorded *r, const double *x)
 static kg_status recorded_value(void *user, const double *x, double *y)
 {
   recorded *r = user;
-  const kg_status status = record(r, x);
+  const kg_status status = record(r, r->function, x);
   if (status == KG_OK) {
     memcpy(y, kg_data(r->tape, r->y), kg_size_of(r->tape, r->y) * sizeof *y);
   }
@@ -586,14 +649,14 @@ static kg_status recorded_value(void *user, const double *x, double *y)
 static kg_status recorded_vjp(void *user, const double *x, const double *w, double *xw)
 {
   recorded *r = user;
-  const kg_status status = record(r, x);
+  const kg_status status = record(r, r->function, x);
   return status == KG_OK ? kg_vjp(r->tape, 1, 1, &r->y, &w, 1, &r->x, &xw) : status;
 }
 
 static kg_status recorded_jvp(void *user, const double *x, const double *d, double *yd)
 {
   recorded *r = user;
-  const kg_status status = record(r, x);
+  const kg_status status = record(r, r->function, x);
   return status == KG_OK ? kg_jvp(r->tape, 1, 1, &r->x, &d, 1, &r->y, &yd) : status;
 }
 
@@ -605,7 +668,7 @@ static kg_status recorded_complex_step(void *user, const double *x, const double
   recorded *r = user;
   double *in = kg_program_input(r->program, 0);
   for (size_t i = 0; i < kg_program_input_size(r->program, 0); ++i) {
-    in[2 * i] = r->beside[i];
+    in[2 * i] = r->truth.at[i];
     in[2 * i + 1] = h * d[i];
   }
   const kg_status status = kg_program_run(r->program);
@@ -624,34 +687,61 @@ static kg_status no_slope(void *user, const double *x, const double *d, double *
   return KG_OK;
 }
 
-static kg_status record_or_say(recorded *r, const char *name, const double *x, kg_error *error)
+static kg_status record_or_say(recorded *r, kg_recorded function, const char *name, const double *x,
+                               kg_error *error)
 {
-  const kg_status status = record(r, x);
+  const kg_status status = record(r, function, x);
   if (status == KG_OK) return KG_OK;
   return kg_fail(error, status, "", 0, 0, "%s: %s", name, kg_tape_error(r->tape)->text);
 }
 
-/* the program stays NULL when something in the record has no complex form */
-static kg_status freeze_beside(recorded *r, const char *name, const kg_allocator *allocator,
-                               kg_error *error)
+/* A primitive without complex form takes its JVP for a complex step: no independent answer. */
+static bool has_complex_form(const kg_tape *tape)
 {
-  kg_status status = record_or_say(r, name, r->beside, error);
+  for (uint32_t i = 0; i < tape->graph.count; ++i) {
+    const kg_node *node = &tape->graph.node[i];
+    if (node->op != kg_op_primitive) continue;
+    const kg_primitive_attributes *a = node->is.block->attributes;
+    if (!a->primitive->complex_forward) return false;
+  }
+  return true;
+}
+
+/* the program stays NULL when something in the record has no complex form */
+static kg_status freeze_truth(recorded *r, const char *name, kg_error *error)
+{
+  kg_status status = record_or_say(r, r->truth.reference, name, r->truth.at, error);
+  if (status != KG_OK || !has_complex_form(r->tape)) return status;
   kg_program_def def = kg_program_default_def();
   def.arithmetic_complex = true;
-  def.allocator = allocator;
-  if (status == KG_OK) {
-    status = kg_program_create(&def, r->tape, 1, &r->x, 1, &r->y, &r->program, error);
+  def.allocator = r->tape->graph.allocator;
+  return kg_program_create(&def, r->tape, 1, &r->x, 1, &r->y, &r->program, error);
+}
+
+/* the truth's values at x, real parts of the last complex step, against those of the function */
+static kg_status compare_values(recorded *r, const double *x, kg_gradcheck_report *report)
+{
+  const double *reference = kg_program_output(r->program, 0);
+  const size_t m = kg_program_output_size(r->program, 0);
+  const kg_status status = record(r, r->function, x);
+  double largest = 0, difference = 0;
+  for (size_t o = 0; status == KG_OK && o < m; ++o) {
+    largest = fmax(largest, fabs(reference[2 * o]));
+    difference = fmax(difference, fabs(reference[2 * o] - kg_item_at(r->tape, r->y, o)));
   }
-  return status == KG_ERR_UNSUPPORTED ? KG_OK : status;
+  if (!(difference <= report->tolerance * largest)) {
+    report->passed = false;
+    report->max_relative_error = fmax(report->max_relative_error, over(difference, largest));
+  }
+  return status;
 }
 
 static kg_status check_recorded(recorded *r, const char *name, const double *x,
                                 const kg_gradcheck_def *def, kg_gradcheck_report *report,
                                 kg_error *error)
 {
-  const kg_allocator *allocator = def ? def->allocator : NULL;
-  kg_status status = r->beside ? freeze_beside(r, name, allocator, error) : KG_OK;
-  if (status == KG_OK) status = record_or_say(r, name, x, error);
+  kg_status status = r->truth.at ? freeze_truth(r, name, error) : KG_OK;
+  if (status == KG_OK) status = record_or_say(r, r->function, name, x, error);
   if (status != KG_OK) return status;
   const kg_differentiable f = {.name = name,
                                .inputs = kg_size_of(r->tape, r->x),
@@ -660,17 +750,19 @@ static kg_status check_recorded(recorded *r, const char *name, const double *x,
                                .value = recorded_value,
                                .vjp = recorded_vjp,
                                .jvp = recorded_jvp,
-                               .complex_step = r->program   ? recorded_complex_step
-                                               : !r->beside ? no_slope
-                                                            : NULL};
-  return kg_gradcheck(&f, x, def, report, error);
+                               .complex_step = r->program     ? recorded_complex_step
+                                               : !r->truth.at ? no_slope
+                                                              : NULL};
+  status = kg_gradcheck(&f, x, def, report, error);
+  return status == KG_OK && r->program && r->truth.at == x ? compare_values(r, x, report) : status;
 }
 
-kg_status kg_gradcheck_beside(const char *name, kg_recorded function, void *user, kg_shape shape,
-                              const double *x, const double *beside, const kg_gradcheck_def *def,
-                              kg_gradcheck_report *report, kg_error *error)
+kg_status kg_gradcheck_against(const char *name, kg_recorded function, void *user, kg_shape shape,
+                               const double *x, const kg_gradcheck_truth *truth,
+                               const kg_gradcheck_def *def, kg_gradcheck_report *report,
+                               kg_error *error)
 {
-  recorded r = {.function = function, .user = user, .shape = shape, .beside = beside};
+  recorded r = {.function = function, .user = user, .shape = shape, .truth = *truth};
   kg_tape_def settings = kg_tape_default_def();
   settings.allocator = def ? def->allocator : NULL;
   kg_status status = kg_tape_create(&settings, &r.tape, error);
@@ -684,7 +776,8 @@ kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, void *us
                                 const double *x, const kg_gradcheck_def *def,
                                 kg_gradcheck_report *report, kg_error *error)
 {
-  return kg_gradcheck_beside(name, function, user, shape, x, x, def, report, error);
+  const kg_gradcheck_truth itself = {function, x};
+  return kg_gradcheck_against(name, function, user, shape, x, &itself, def, report, error);
 }
 
 /* -- a table for a terminal -------------------------------------------------------------------- */

@@ -14,6 +14,7 @@
   X(info)                                                                                          \
   X(correct)                                                                                       \
   X(eval)                                                                                          \
+  X(gradcheck)                                                                                     \
   CLI_BENCH(X)
 /* clang-format on */
 

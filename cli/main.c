@@ -34,7 +34,7 @@ static void print_overview(FILE *out)
         "Usage: kinegrad <command> [options] <file>...\n\n",
         out);
   for (int i = 0; i < COMMAND_COUNT; i++) {
-    fprintf(out, "  %-8s  %s\n", commands[i]->name, commands[i]->summary);
+    fprintf(out, "  %-9s  %s\n", commands[i]->name, commands[i]->summary);
   }
   fputs("\nExamples:\n"
         "  kinegrad info walk.bvh\n"

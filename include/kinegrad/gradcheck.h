@@ -81,11 +81,14 @@ KG_API kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, v
                                        kg_shape shape, const double *x, const kg_gradcheck_def *def,
                                        kg_gradcheck_report *report, kg_error *error);
 
+/* Adds what another point showed: *worst keeps the larger error with its place, the larger dot test, the lower order. */
+KG_API void kg_gradcheck_merge(kg_gradcheck_report *worst, const kg_gradcheck_report *report);
+
 /* One line of a table for a terminal, without newline; report == NULL: the heading. Returns the length as
  * snprintf. */
 KG_API int kg_gradcheck_row(const kg_gradcheck_report *report, char *text, size_t size);
 
-/* -- the registry: every operator and primitive of the library, with its sample points --------------- */
+/* -- the registry: every operator and kind of primitive, with its sample points ------------------- */
 
 KG_API int kg_registry_count(void);
 KG_API const char *kg_registry_name(int i);
