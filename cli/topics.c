@@ -36,7 +36,7 @@ static void print_exit_codes(FILE *out)
   fputs("  0    done, and the answer is good\n"
         "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
         "       converge, a lost simulation, an output far from the capture, a clip without its\n"
-        "       output, answers of a benchmark that differ\n"
+        "       output, answers of a benchmark that differ, a derivative that is wrong or undecided\n"
         "  2    wrong usage\n"
         "  3    an input cannot be read, or cannot be used\n"
         "  4    an output cannot be written\n"

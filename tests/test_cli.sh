@@ -116,6 +116,16 @@ run 2 eval "$walk"
 says "takes a capture and an output, 1 given"
 run 2 eval "$walk" "$scratch"
 says "two clips or two folders"
+run 2 gradcheck --filter no_such_operator
+says "no check has 'no_such_operator' in its name"
+run 2 gradcheck "$walk" "$walk"
+says "takes at most one clip, 2 given"
+run 2 gradcheck --points 0
+says "--points: 0 is out of range"
+run 2 gradcheck --filter sin --json "$walk" "$walk"
+says "--json"
+run 3 gradcheck no_such.bvh
+silent
 run 2 help exit-code
 says "did you mean 'exit-codes'"
 nothing_in out
@@ -127,13 +137,13 @@ claim "overview names every command" grep -Eq "^  correct +make" stdout.txt
 claim "help goes to stdout" test ! -s stderr.txt
 run 0 --version
 claim "version" grep -Eq "^kinegrad [0-9]+\.[0-9]+\.[0-9]+$" stdout.txt
-for topic in formats units exit-codes json roles info correct eval; do
+for topic in formats units exit-codes json roles info correct eval gradcheck; do
   run 0 help $topic
   claim "help $topic says something" test "$(wc -l <stdout.txt)" -ge 5
 done
 run 0 help json
 claim "help json has the keys" grep -q momentum_balance stdout.txt
-commands="info correct eval"
+commands="info correct eval gradcheck"
 "$kinegrad" bench -h >/dev/null 2>&1 && commands="$commands bench"
 for command in $commands; do
   run 0 $command -h
@@ -522,6 +532,30 @@ claim "interrupted: exit code $code" test $code -eq 130
 claim "interrupted: said so" grep -q "interrupted; nothing was written" stderr.txt
 silent
 nothing_in out
+
+# ---- gradcheck -------------------------------------------------------------------------------------
+
+run 0 gradcheck --points 5 --json out/g.json
+claim "gradcheck: the report is JSON" "$json_get" out/g.json checks.0.name checks.0.passed
+claim "gradcheck: a heading, a row for each check, a sum" \
+  test "$(grep -c '  ok$' stdout.txt)" -eq "$(grep -o '"name"' out/g.json | wc -l)"
+claim "gradcheck: the sum is said" grep -Eq "^([0-9]+) of \1 passed$" stdout.txt
+for name in add matmul rotation_log "implicit primitive" checkpoint "contact force" "penetration loss"; do
+  claim "gradcheck checks $name" grep -q "^$name  " stdout.txt
+done
+for key in name max_relative_error dot_test taylor_order passed; do
+  claim "gradcheck --json has $key" grep -q "\"$key\"" out/g.json
+done
+claim "gradcheck: an exact remainder is null" grep -q '"taylor_order": null' out/g.json
+run 0 gradcheck --points 5 --json out/h.json
+claim "gradcheck: the same seed gives the same bytes" cmp -s out/g.json out/h.json
+run 0 gradcheck --points 5 --seed 2 --json out/h.json
+claim "gradcheck: another seed gives other points" sh -c '! cmp -s out/g.json out/h.json'
+run 0 gradcheck --points 5 --filter MATMUL,step "$walk"
+claim "gradcheck: a filter of two words" test "$(grep -c '  ok$' stdout.txt)" -eq 4
+run 0 gradcheck --points 5 --filter sin --json -
+claim "gradcheck --json - is JSON alone" test "$(head -c 1 stdout.txt)" = "{"
+rm -f out/g.json out/h.json
 
 # ---- eval of two folders -------------------------------------------------------------------------
 

@@ -10,8 +10,8 @@
  * How an entry is judged. Its error is put over the largest entry of J. Where the differences resolve more, it
  * is put over the entry itself: in 1e8 x_0 + sin x_1 the wrong sign of the small entry is found. Entries that
  * would change f by less than 1e-5 of itself (1e-2 with a complex step) over max(1, |x_j|) count as that large.
- * A numerical derivative whose own error is larger than the tolerance decides nothing: that is not a pass, and
- * the row says "undecided".
+ * A numerical derivative whose own error is larger than the tolerance decides nothing (f is noisy, or its second
+ * derivative jumps nearby): that is not a pass, and the row says "undecided".
  *
  * [Ridders] C. J. F. Ridders, Accurate computation of F'(x) and F'(x) F''(x), Advances in Engineering
  * Software 4 (1982). [CS] W. Squire, G. Trapp, SIAM Review 40 (1998). */
@@ -57,6 +57,7 @@ KG_API kg_gradcheck_def kg_gradcheck_default_def(void);
 typedef struct kg_gradcheck_report {
   const char *name;
   bool passed;
+  bool undecided; /* not passed, and nothing speaks against it but a numerical derivative that is not good enough */
   const char *method;               /* "complex step" or "differences" */
   double tolerance;                 /* the one in force                */
   double max_relative_error;        /* of an entry; NaN where a value or product is not a number */
