@@ -65,6 +65,9 @@ static void print_json(FILE *out)
         "  residual_moment_ratio_peak  correction_force_ratio  correction_force_ratio_peak\n"
         "  peak_grf_N  unexplained_count  unexplained_frames  restart_frames  ms_per_frame\n"
         "  timing  newton\n"
+        "gradcheck has one object per row under checks: name, method, max_relative_error,\n"
+        "error_estimate, tolerance, dot_test, taylor_order (null: remainder at rounding),\n"
+        "repeatable, passed.\n"
         "bench has one object per ratio under cases: name, value, unit, peer, peer_value, ratio,\n"
         "agreement.\n"
         "docs/guide/read-the-report.md defines those of correct and eval.\n",
