@@ -151,10 +151,27 @@ static kg_status run_loss(void *state, double *answer)
 
 /* ---- the cases ------------------------------------------------------------------------------- */
 
-enum { PLAIN, ADOLC_RETAPED, ADOLC_REPLAYED, CONTESTANTS };
+enum { PLAIN, RECORDED, REPLAYED, ADOLC_RETAPED, ADOLC_REPLAYED, CONTESTANTS };
+
+#define PLAIN_RESIDUALS                                                                            \
+  {                                                                                                \
+    "plain residuals, -O3", NULL, RESIDUALS, create_plain, run_residuals, free                     \
+  }
+#define KINEGRAD_RECORDED                                                                          \
+  {                                                                                                \
+    "kinegrad, recorded", NULL, JACOBIAN | WEIGHT_JACOBIAN, kg_bench_ba_recorded,                  \
+      kg_bench_ba_recorded_jacobian, kg_bench_ba_tape_destroy                                      \
+  }
+#define KINEGRAD_REPLAYED                                                                          \
+  {                                                                                                \
+    "kinegrad, replayed", NULL, JACOBIAN | WEIGHT_JACOBIAN, kg_bench_ba_jacobian_replayed,         \
+      kg_bench_ba_replay_jacobian, kg_bench_ba_tape_destroy                                        \
+  }
 
 static const kg_bench_contestant jacobians[CONTESTANTS] = {
-  [PLAIN] = {"plain residuals, -O3", NULL, RESIDUALS, create_plain, run_residuals, free},
+  [PLAIN] = PLAIN_RESIDUALS,
+  [RECORDED] = KINEGRAD_RECORDED,
+  [REPLAYED] = KINEGRAD_REPLAYED,
   [ADOLC_RETAPED] =
     ADOLC_CONTESTANT("ADOL-C, retaped", JACOBIAN | WEIGHT_JACOBIAN, kg_adolc_ba_jacobian_retaped),
   [ADOLC_REPLAYED] =
@@ -162,39 +179,62 @@ static const kg_bench_contestant jacobians[CONTESTANTS] = {
 };
 
 static const kg_bench_contestant observations[CONTESTANTS] = {
-  [PLAIN] = {"plain residuals, -O3", NULL, RESIDUALS, create_plain, run_residuals, free},
+  [PLAIN] = PLAIN_RESIDUALS,
+  [RECORDED] = KINEGRAD_RECORDED,
+  [REPLAYED] = KINEGRAD_REPLAYED,
   [ADOLC_RETAPED] = ADOLC_CONTESTANT("ADOL-C, retaped", JACOBIAN | WEIGHT_JACOBIAN,
                                      kg_adolc_ba_observation_retaped),
   [ADOLC_REPLAYED] = ADOLC_CONTESTANT("ADOL-C, replayed", JACOBIAN | WEIGHT_JACOBIAN,
                                       kg_adolc_ba_observation_replayed),
 };
 
-static const kg_bench_contestant losses[CONTESTANTS] = {
-  [PLAIN] = {"plain loss, -O3", NULL, LOSS, create_plain, run_loss, free},
-  [ADOLC_RETAPED] = ADOLC_CONTESTANT("ADOL-C, retaped", GRADIENT, kg_adolc_ba_loss_retaped),
-  [ADOLC_REPLAYED] = ADOLC_CONTESTANT("ADOL-C, replayed", GRADIENT, kg_adolc_ba_loss_replayed),
+enum { LOSS_CONTESTANTS = 4 };
+static const kg_bench_contestant losses[LOSS_CONTESTANTS] = {
+  {"plain loss, -O3", NULL, LOSS, create_plain, run_loss, free},
+  {"kinegrad, replayed", NULL, GRADIENT, kg_bench_ba_loss_replayed, kg_bench_ba_replay_loss,
+   kg_bench_ba_tape_destroy},
+  ADOLC_CONTESTANT("ADOL-C, retaped", GRADIENT, kg_adolc_ba_loss_retaped),
+  ADOLC_CONTESTANT("ADOL-C, replayed", GRADIENT, kg_adolc_ba_loss_replayed),
 };
 
-static const kg_bench_pair pairs[] = {
+static const kg_bench_pair jacobian_pairs[] = {
+  {"kinegrad recorded", RECORDED, PLAIN, 0.0},
+  {"kinegrad replayed", REPLAYED, PLAIN, 5.0},
   {"ADOL-C retaped", ADOLC_RETAPED, PLAIN, 0.0},
   {"ADOL-C replayed", ADOLC_REPLAYED, PLAIN, 0.0},
+  {"kinegrad over ADOL-C", REPLAYED, ADOLC_REPLAYED, 0.1},
+};
+/* a pair of one with itself: microseconds an observation */
+static const kg_bench_pair observation_pairs[] = {
+  {"kinegrad recorded, us", RECORDED, RECORDED, 0.6},
+  {"kinegrad replayed, us", REPLAYED, REPLAYED, 0.15},
+  {"kinegrad over ADOL-C", RECORDED, ADOLC_RETAPED, 0.1},
+};
+static const kg_bench_pair loss_pairs[] = {
+  {"kinegrad replayed", 1, 0, 4.0},
+  {"ADOL-C retaped", 2, 0, 0.0},
+  {"ADOL-C replayed", 3, 0, 0.0},
+  {"kinegrad over ADOL-C", 1, 3, 0.1},
 };
 
 /* clang-format off */
-#define CASE(title, time_unit, seconds, size_of, open_function, reference_function, table)         \
+#define CASE(title, time_unit, seconds, size_of, open_function, reference_function, table, ratios) \
   {                                                                                                \
     .name = (title), .unit = (time_unit), .unit_seconds = (seconds), .tolerance = 1e-10,           \
     .detail = (size_of), .open = (open_function), .close = close,                                  \
-    .reference = (reference_function), .contestants = (table), .contestant_count = CONTESTANTS,    \
-    .pairs = pairs, .pair_count = KG_COUNT_OF(pairs)                                               \
+    .reference = (reference_function), .contestants = (table), .contestant_count = KG_COUNT_OF(table), \
+    .pairs = ratios, .pair_count = KG_COUNT_OF(ratios)                                             \
   }
 /* clang-format on */
 
 const kg_bench_case kg_bench_ba_cases[BENCH_BA_CASES] = {
-  CASE("ba1_jacobian", "ms", 1e-3, &ba1, open_jacobian, reference_jacobian, jacobians),
-  CASE("ba5_jacobian", "ms", 1e-3, &ba5, open_jacobian, reference_jacobian, jacobians),
-  CASE("ba1_loss", "ms", 1e-3, &ba1, open_loss, reference_loss, losses),
-  CASE("ba5_loss", "ms", 1e-3, &ba5, open_loss, reference_loss, losses),
+  CASE("ba1_jacobian", "ms", 1e-3, &ba1, open_jacobian, reference_jacobian, jacobians,
+       jacobian_pairs),
+  CASE("ba5_jacobian", "ms", 1e-3, &ba5, open_jacobian, reference_jacobian, jacobians,
+       jacobian_pairs),
+  CASE("ba1_loss", "ms", 1e-3, &ba1, open_loss, reference_loss, losses, loss_pairs),
+  CASE("ba5_loss", "ms", 1e-3, &ba5, open_loss, reference_loss, losses, loss_pairs),
   /* latency: the Jacobian of a single observation */
-  CASE("ba_observation", "us", 1e-6, &ba1, open_observations, reference_jacobian, observations),
+  CASE("ba_observation", "us", 1e-6, &ba1, open_observations, reference_jacobian, observations,
+       observation_pairs),
 };

@@ -25,6 +25,15 @@ kg_status kg_bench_gmm_tape(void **state, const void *data, const kg_allocator *
 kg_status kg_bench_gmm_tape_run(void *state, double *answer);
 void kg_bench_gmm_tape_destroy(void *state);
 
+kg_status kg_bench_ba_recorded(void **state, const void *data, const kg_allocator *allocator);
+kg_status kg_bench_ba_recorded_jacobian(void *state, double *answer);
+kg_status kg_bench_ba_jacobian_replayed(void **state, const void *data,
+                                        const kg_allocator *allocator);
+kg_status kg_bench_ba_replay_jacobian(void *state, double *answer);
+kg_status kg_bench_ba_loss_replayed(void **state, const void *data, const kg_allocator *allocator);
+kg_status kg_bench_ba_replay_loss(void *state, double *answer);
+void kg_bench_ba_tape_destroy(void *state);
+
 enum {
   BENCH_GMM_CASES = 6,
   BENCH_BA_CASES = 5,
