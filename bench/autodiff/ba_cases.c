@@ -157,21 +157,19 @@ enum { PLAIN, RECORDED, REPLAYED, ADOLC_RETAPED, ADOLC_REPLAYED, CONTESTANTS };
   {                                                                                                \
     "plain residuals, -O3", NULL, RESIDUALS, create_plain, run_residuals, free                     \
   }
-#define KINEGRAD_RECORDED                                                                          \
+#define KINEGRAD_RECORDED(mask, run)                                                               \
   {                                                                                                \
-    "kinegrad, recorded", NULL, JACOBIAN | WEIGHT_JACOBIAN, kg_bench_ba_recorded,                  \
-      kg_bench_ba_recorded_jacobian, kg_bench_ba_tape_destroy                                      \
+    "kinegrad, recorded", NULL, mask, kg_bench_ba_recorded, run, kg_bench_ba_tape_destroy          \
   }
-#define KINEGRAD_REPLAYED                                                                          \
+#define KINEGRAD_REPLAYED(mask, run)                                                               \
   {                                                                                                \
-    "kinegrad, replayed", NULL, JACOBIAN | WEIGHT_JACOBIAN, kg_bench_ba_jacobian_replayed,         \
-      kg_bench_ba_replay_jacobian, kg_bench_ba_tape_destroy                                        \
+    "kinegrad, replayed", NULL, mask, kg_bench_ba_jacobian_replayed, run, kg_bench_ba_tape_destroy \
   }
 
 static const kg_bench_contestant jacobians[CONTESTANTS] = {
   [PLAIN] = PLAIN_RESIDUALS,
-  [RECORDED] = KINEGRAD_RECORDED,
-  [REPLAYED] = KINEGRAD_REPLAYED,
+  [RECORDED] = KINEGRAD_RECORDED(JACOBIAN | WEIGHT_JACOBIAN, kg_bench_ba_recorded_jacobian),
+  [REPLAYED] = KINEGRAD_REPLAYED(JACOBIAN | WEIGHT_JACOBIAN, kg_bench_ba_replay_jacobian),
   [ADOLC_RETAPED] =
     ADOLC_CONTESTANT("ADOL-C, retaped", JACOBIAN | WEIGHT_JACOBIAN, kg_adolc_ba_jacobian_retaped),
   [ADOLC_REPLAYED] =
@@ -180,8 +178,8 @@ static const kg_bench_contestant jacobians[CONTESTANTS] = {
 
 static const kg_bench_contestant observations[CONTESTANTS] = {
   [PLAIN] = PLAIN_RESIDUALS,
-  [RECORDED] = KINEGRAD_RECORDED,
-  [REPLAYED] = KINEGRAD_REPLAYED,
+  [RECORDED] = KINEGRAD_RECORDED(JACOBIAN, kg_bench_ba_recorded_observations),
+  [REPLAYED] = KINEGRAD_REPLAYED(JACOBIAN, kg_bench_ba_replay_observations),
   [ADOLC_RETAPED] = ADOLC_CONTESTANT("ADOL-C, retaped", JACOBIAN | WEIGHT_JACOBIAN,
                                      kg_adolc_ba_observation_retaped),
   [ADOLC_REPLAYED] = ADOLC_CONTESTANT("ADOL-C, replayed", JACOBIAN | WEIGHT_JACOBIAN,

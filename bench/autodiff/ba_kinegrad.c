@@ -29,27 +29,28 @@ static void inputs(kg_tape *t, const double *x, const double *feature, observati
   o->in[INPUTS + 1] = kg_constant_scalar(t, feature[1]);
 }
 
-static kg_value dot3(kg_tape *t, const kg_value *a, const kg_value *b)
+static kg_value sum3(kg_tape *t, kg_value a, kg_value b, kg_value c)
 {
-  const kg_value first = kg_add(t, kg_mul(t, a[0], b[0]), kg_mul(t, a[1], b[1]));
-  return kg_add(t, first, kg_mul(t, a[2], b[2]));
+  return kg_add(t, kg_add(t, a, b), c);
 }
 
-/* y = R(r) v, by the formula of Rodrigues */
+/* y = R(r) v = v cos a + (e x v) sin a + e (e . v) (1 - cos a),  a = |r|, e = r / a */
 static void rotate(kg_tape *t, const kg_value *r, const kg_value *v, kg_value *y)
 {
-  const kg_value angle = kg_sqrt(t, dot3(t, r, r)), one_over = kg_reciprocal(t, angle);
+  const kg_value square = sum3(t, kg_square(t, r[0]), kg_square(t, r[1]), kg_square(t, r[2]));
+  const kg_value angle = kg_sqrt(t, square), one_over = kg_reciprocal(t, angle);
   const kg_value c = kg_cos(t, angle), s = kg_sin(t, angle);
-  kg_value e[3];
+  kg_value e[3], product[3];
   for (int i = 0; i < 3; ++i) {
     e[i] = kg_mul(t, r[i], one_over);
+    product[i] = kg_mul(t, e[i], v[i]);
   }
-  const kg_value along = kg_mul(t, dot3(t, e, v), kg_shift(t, kg_neg(t, c), 1));
+  const kg_value rest = kg_sub(t, kg_constant_scalar(t, 1), c);
+  const kg_value along = kg_mul(t, sum3(t, product[0], product[1], product[2]), rest);
   for (int i = 0; i < 3; ++i) {
     const int j = (i + 1) % 3, k = (i + 2) % 3;
     const kg_value across = kg_sub(t, kg_mul(t, e[j], v[k]), kg_mul(t, e[k], v[j]));
-    const kg_value turned = kg_add(t, kg_mul(t, v[i], c), kg_mul(t, across, s));
-    y[i] = kg_add(t, turned, kg_mul(t, e[i], along));
+    y[i] = sum3(t, kg_mul(t, v[i], c), kg_mul(t, across, s), kg_mul(t, e[i], along));
   }
 }
 
@@ -81,8 +82,7 @@ static kg_value weight_residual(kg_tape *t, kg_value w)
 
 static kg_value half_square(kg_tape *t, kg_value a, kg_value b, kg_value c)
 {
-  const kg_value sum = kg_add(t, kg_square(t, a), kg_square(t, b));
-  return kg_scale(t, kg_add(t, sum, kg_square(t, c)), 0.5);
+  return kg_scale(t, sum3(t, kg_square(t, a), kg_square(t, b), kg_square(t, c)), 0.5);
 }
 
 /* ---- recorded -------------------------------------------------------------------------------- */
@@ -91,6 +91,7 @@ typedef struct state {
   const kg_bench_ba *ba;
   kg_tape *tape;
   kg_program *program, *weights;
+  double rows[LANES * 2 * INPUTS];
 } state;
 
 void kg_bench_ba_tape_destroy(void *memory)
@@ -148,13 +149,20 @@ static kg_status record_weight(state *s, int i, double *entry)
   return kg_gradient(s->tape, weight_residual(s->tape, w), 1, &w, &entry);
 }
 
-kg_status kg_bench_ba_recorded_jacobian(void *memory, double *answer)
+kg_status kg_bench_ba_recorded_observations(void *memory, double *answer)
 {
   state *s = memory;
   kg_status status = KG_OK;
   for (int i = 0; i < s->ba->p && status == KG_OK; ++i) {
     status = record_rows(s, i, answer + 2 * INPUTS * (size_t)i);
   }
+  return status;
+}
+
+kg_status kg_bench_ba_recorded_jacobian(void *memory, double *answer)
+{
+  state *s = memory;
+  kg_status status = kg_bench_ba_recorded_observations(s, answer);
   for (int i = 0; i < s->ba->p && status == KG_OK; ++i) {
     status = record_weight(s, i, answer + 2 * INPUTS * (size_t)s->ba->p + i);
   }
@@ -224,14 +232,18 @@ static int fewer(int left)
   return left < LANES ? left : LANES;
 }
 
-/* Numbers number[lane] of `width` doubles become rows of lanes; idle lanes keep what they had. */
-static void gather(kg_program *program, int first, int width, const double *from, const int *number,
+/* `width` numbers of each of count items, the item in a lane; idle lanes keep what they had */
+static void gather(kg_program *program, int first, int width, const double *from, const int *item,
                    int count)
 {
+  double *row[INPUTS];
   for (int k = 0; k < width; ++k) {
-    double *to = kg_program_input(program, first + k);
-    for (int lane = 0; lane < count; ++lane) {
-      to[lane] = from[(number ? number[lane] : lane) * width + k];
+    row[k] = kg_program_input(program, first + k);
+  }
+  for (int lane = 0; lane < count; ++lane) {
+    const double *x = from + (item ? item[lane] : lane) * width;
+    for (int k = 0; k < width; ++k) {
+      row[k][lane] = x[k];
     }
   }
 }
@@ -243,19 +255,16 @@ static kg_status run_observations(state *s, int start, int count, int directions
   gather(s->program, 0, CAMERA, ba->theta, ba->camera + start, count);
   gather(s->program, CAMERA, 3, points, ba->point + start, count);
   gather(s->program, WEIGHT, 1, weights + start, NULL, count);
-  for (int k = 0; k < 2; ++k) {
-    double *to = kg_program_input(s->program, INPUTS + k);
-    for (int lane = 0; lane < count; ++lane) {
-      to[lane] = ba->feature[2 * (size_t)(start + lane) + (size_t)k];
-    }
-  }
+  gather(s->program, INPUTS, 2, ba->feature + 2 * (size_t)start, NULL, count);
   const kg_status status = kg_program_run(s->program);
   return status == KG_OK ? kg_program_backward(s->program, directions) : status;
 }
 
-static void store_rows(const state *s, int count, double *rows)
+/* by way of a small array: copied in one piece, the large one need not be read to be written */
+static void store_rows(state *s, int count, double *to)
 {
   const double *adjoint[INPUTS];
+  double *rows = s->rows;
   for (int k = 0; k < INPUTS; ++k) {
     adjoint[k] = kg_program_adjoint(s->program, k);
   }
@@ -265,26 +274,33 @@ static void store_rows(const state *s, int count, double *rows)
       rows[INPUTS + k] = adjoint[k][LANES + lane];
     }
   }
+  memcpy(to, s->rows, (size_t)count * 2 * INPUTS * sizeof *to);
 }
 
-kg_status kg_bench_ba_replay_jacobian(void *memory, double *answer)
+kg_status kg_bench_ba_replay_observations(void *memory, double *answer)
 {
   state *s = memory;
-  const size_t p = (size_t)s->ba->p;
-  const double *weights = s->ba->theta + (size_t)s->ba->n * CAMERA + (size_t)s->ba->m * 3;
   kg_status status = KG_OK;
   for (int start = 0; start < s->ba->p && status == KG_OK; start += LANES) {
     const int count = fewer(s->ba->p - start);
     status = run_observations(s, start, count, 2);
     store_rows(s, count, answer + 2 * INPUTS * (size_t)start);
   }
+  return status;
+}
+
+kg_status kg_bench_ba_replay_jacobian(void *memory, double *answer)
+{
+  state *s = memory;
+  double *of_weights = answer + 2 * INPUTS * (size_t)s->ba->p;
+  const double *weights = s->ba->theta + (size_t)s->ba->n * CAMERA + (size_t)s->ba->m * 3;
+  kg_status status = kg_bench_ba_replay_observations(s, answer);
   for (int start = 0; start < s->ba->p && status == KG_OK; start += LANES) {
     const int count = fewer(s->ba->p - start);
     gather(s->weights, 0, 1, weights + start, NULL, count);
     status = kg_program_run(s->weights);
     if (status == KG_OK) status = kg_program_backward(s->weights, 1);
-    memcpy(answer + 2 * INPUTS * p + start, kg_program_adjoint(s->weights, 0),
-           (size_t)count * sizeof *answer);
+    memcpy(of_weights + start, kg_program_adjoint(s->weights, 0), (size_t)count * sizeof *answer);
   }
   return status;
 }

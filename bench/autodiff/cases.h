@@ -27,9 +27,11 @@ void kg_bench_gmm_tape_destroy(void *state);
 
 kg_status kg_bench_ba_recorded(void **state, const void *data, const kg_allocator *allocator);
 kg_status kg_bench_ba_recorded_jacobian(void *state, double *answer);
+kg_status kg_bench_ba_recorded_observations(void *state, double *answer); /* features alone */
 kg_status kg_bench_ba_jacobian_replayed(void **state, const void *data,
                                         const kg_allocator *allocator);
 kg_status kg_bench_ba_replay_jacobian(void *state, double *answer);
+kg_status kg_bench_ba_replay_observations(void *state, double *answer);
 kg_status kg_bench_ba_loss_replayed(void **state, const void *data, const kg_allocator *allocator);
 kg_status kg_bench_ba_replay_loss(void *state, double *answer);
 void kg_bench_ba_tape_destroy(void *state);
