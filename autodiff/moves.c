@@ -1,5 +1,5 @@
-/* Operators that move entries: the checks and the recipes; indices are looked at here, once, so that the
- * kernels need not. */
+/* Operators that move entries: the checks and the recipes; indices are looked at here, once, so
+ * that the kernels need not. */
 #include "autodiff/attributes.h"
 #include "autodiff/tape.h"
 
@@ -16,7 +16,7 @@ static kg_value move(kg_tape *tape, kg_op op, kg_value a, kg_shape shape, const 
                                       .attribute_bytes = bytes});
 }
 
-/* The result shares the operand's numbers, except those of a scalar: they move when the tape grows. */
+/* The result shares the operand's numbers; not a scalar's: they move when the tape grows. */
 kg_value kg_reshape(kg_tape *tape, kg_value a, kg_shape shape)
 {
   if (!kg_operands_given(tape, 1, &a) || !kg_check_shape(tape, kg_op_reshape, shape))
@@ -154,7 +154,7 @@ kg_value kg_stack(kg_tape *tape, int count, const kg_value *scalars)
 
 /* -- entries by index -------------------------------------------------------------------------- */
 
-/* On double tapes a scalar node whose operand is the tensor, and whose second "operand" the index. */
+/* On double tapes a scalar node whose operand is the tensor; in place of a second one the index. */
 kg_value kg_element(kg_tape *tape, kg_value a, size_t index)
 {
   if (!kg_operands_given(tape, 1, &a)) return (kg_value){0};
@@ -175,8 +175,8 @@ kg_value kg_element(kg_tape *tape, kg_value a, size_t index)
   return (kg_value){graph->count++};
 }
 
-/* gather takes entries of an axis of `extent` into one of `count`, scatter back: a has the shape of the
- * source, shape that of the result */
+/* gather takes entries of an axis of `extent` into one of `count`, scatter back: a has the shape of
+ * the source, shape that of the result */
 static kg_value by_index(kg_tape *tape, kg_op op, kg_value a, int axis, kg_shape shape, int extent,
                          int count, const int32_t *index)
 {

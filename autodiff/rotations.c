@@ -10,8 +10,8 @@ static kg_value rotation(kg_tape *tape, kg_op op, int count, const kg_value *ope
     &(kg_recipe){.op = op, .count = count, .operands = operands, .shape = shape, .saved = saved});
 }
 
-/* the shape of a with its last axis exchanged for `to` entries; rank 0, with the tape's error set, unless
- * the axis has `from` entries */
+/* the shape of a with its last axis exchanged for `to` entries; rank 0, with the tape's error set,
+ * unless the axis has `from` entries */
 static kg_shape with_last(kg_tape *tape, kg_op op, kg_value a, int32_t from, int32_t to)
 {
   if (!kg_operands_given(tape, 1, &a)) return KG_SCALAR_SHAPE;

@@ -39,8 +39,8 @@ typedef struct kg_recipe {
 /* Records a block and evaluates it; the null value on failure, with the tape's error set. */
 kg_value kg_record(kg_tape *tape, const kg_recipe *recipe);
 
-/* Room in the tape for attributes of any length, as part of the next recipe; NULL, with the tape's error
- * set, when the tape has failed or memory is refused. */
+/* Room in the tape for attributes of any length, as part of the next recipe; NULL, with the tape's
+ * error set, when the tape has failed or memory is refused. */
 void *kg_take_attributes(kg_tape *tape, kg_op op, size_t bytes);
 
 /* An element-wise operator of up to three operands, broadcast (elementwise.c). */
@@ -55,7 +55,7 @@ struct kg_elementwise kg_plan_elementwise(int count, const kg_shape *shapes, kg_
 kg_value kg_refuse(kg_tape *tape, kg_status status, const char *operator_name, const char *format,
                    ...) KG_PRINTF(4, 5);
 
-/* The same for a node whose kernel failed; and when one has in the last sweep: the tape's status. */
+/* The same for a node whose kernel failed; and when one has in the last sweep: the status. */
 void kg_refuse_node(kg_tape *tape, uint32_t node, kg_status status);
 kg_status kg_sweep_status(kg_tape *tape);
 

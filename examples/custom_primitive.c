@@ -1,4 +1,4 @@
-/* An operator of one's own: a curve given by a table, with its derivative, checked and used on a tape. */
+/* An operator of one's own: a curve given by a table, with its derivative; used and checked. */
 #include <math.h>
 #include <stdio.h>
 
@@ -7,7 +7,7 @@
 #include "kinegrad/primitive.h"
 
 /* [table] */
-/* y at x = 0, step, 2 step, ... (count >= 4); between them a cubic with the slopes of central differences */
+/* y at x = 0, step, 2 step, ...; between them a cubic, its slopes by central differences */
 typedef struct table {
   int count;
   double step;

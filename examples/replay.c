@@ -8,7 +8,8 @@
 enum { LANES = 4 };
 
 /* [formula] */
-/* where a ball thrown at speed v and angle a from height 2 lands: v cos a t, -2 = v sin a t - g t^2 / 2 */
+/* where a ball lands that is thrown from height 2 at speed v and angle a:
+ * v cos a t with v sin a t - g t^2 / 2 = -2 */
 static kg_value range(kg_tape *tape, kg_value v, kg_value a)
 {
   const double g = 9.8;

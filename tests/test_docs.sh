@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Code and output quoted in docs/guide are those of the examples: test_docs.sh SOURCE_DIR EXAMPLES_DIR
+# Code and output quoted in docs/guide are those of the examples: test_docs.sh SOURCE EXAMPLES
 #
-#   <!-- examples/FILE.c [REGION] -->   the fenced block below equals the lines between the two comments
-#                                       /* [REGION] */ of the file, less their common indent
+#   <!-- examples/FILE.c [REGION] -->   the fenced block below equals the lines of the file between
+#                                       two comments /* [REGION] */, less their common indent
 #   <!-- output of NAME -->             the fenced block below is printed by that example
 set -euo pipefail
 source=$1 examples=$2
@@ -40,7 +40,8 @@ for page in "$source"/docs/guide/*.md; do
         fail "$page: differs from ${BASH_REMATCH[1]} [${BASH_REMATCH[2]}]"
     elif [[ $marker =~ ^\<!--\ output\ of\ ([a-z_]+)\ --\>$ ]]; then
       output=$("$examples/${BASH_REMATCH[1]}" 2>/dev/null) || fail "${BASH_REMATCH[1]} failed"
-      [[ $'\n'$output$'\n' == *$'\n'"$quoted"$'\n'* ]] || fail "$page: not printed by ${BASH_REMATCH[1]}"
+      [[ $'\n'$output$'\n' == *$'\n'"$quoted"$'\n'* ]] ||
+        fail "$page: not printed by ${BASH_REMATCH[1]}"
     else
       fail "$page: $marker"
     fi

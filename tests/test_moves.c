@@ -1,5 +1,5 @@
-/* Operators that move entries: values against index arithmetic written out, complex steps, lanes, float tapes,
- * every refused argument. */
+/* Operators that move entries: values against index arithmetic written out, complex steps, lanes,
+ * float tapes, every refused argument. */
 #include "tape_support.h"
 
 static kg_tape *new_tape(kg_precision precision, int simd)

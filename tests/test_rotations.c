@@ -1,5 +1,5 @@
-/* 3-vectors and rotations: values against base/quat.h, derivatives against complex steps, the right Jacobian
- * of SO(3) and long double series, with the angles near zero, near pi and beyond. */
+/* 3-vectors and rotations: values against base/quat.h, derivatives against complex steps, the right
+ * Jacobian of SO(3) and long double series, with the angles near zero, near pi and beyond. */
 #include "tape_support.h"
 
 #define PI 3.14159265358979323846
@@ -303,7 +303,7 @@ static void normalize_of_zero_tiny_and_huge(void **state)
   kg_tape_destroy(tape);
 }
 
-/* An item with an infinite or undefined derivative does not spoil a sweep that does not ask for it. */
+/* An item without a derivative does not spoil a sweep that does not ask for it. */
 static void a_zero_adjoint_stops(void **state)
 {
   (void)state;
