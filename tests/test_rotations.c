@@ -300,6 +300,8 @@ static void normalize_of_zero_tiny_and_huge(void **state)
   }
   assert_close(g[4] / 1e200 * 5, 2 * 10 / 10., 1e-15); /* w - y (y w) = (-0.8, 2, 0.6), / 5e-200 */
   assert_close(g[3] / 1e200 * 5, (1 - 0.6 * 3) * 1., 1e-15);
+  kg_random random = kg_random_make(8);
+  check_lanes(tape, y, &random);
   kg_tape_destroy(tape);
 }
 
