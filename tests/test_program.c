@@ -207,13 +207,13 @@ static void test_odd_ends(void **state)
   const kg_value x = kg_scalar(t, 2), unread = kg_scalar(t, 5), other = kg_scalar(t, 6);
   const kg_value fixed = kg_mul(t, other, kg_constant_scalar(t, 4)); /* no input of the program */
   const kg_value y = kg_mul(t, x, fixed);
-  const kg_value in[2] = {x, unread}, out[5] = {y, x, fixed, y, kg_neg(t, kg_neg(t, y))};
+  const kg_value in[2] = {unread, x}, out[5] = {y, x, fixed, y, kg_neg(t, kg_neg(t, y))};
   kg_program *p;
   assert_int_equal(kg_program_create(&(kg_program_def){.lanes = LANES}, t, 2, in, 5, out, &p, NULL),
                    KG_OK);
   kg_tape_destroy(t);
   for (int lane = 0; lane < LANES; ++lane) {
-    ((double *)kg_program_input(p, 0))[lane] = lane + 1;
+    ((double *)kg_program_input(p, 1))[lane] = lane + 1;
   }
   assert_int_equal(kg_program_run(p), KG_OK);
   for (int o = 0; o < 5; ++o) {
@@ -222,16 +222,16 @@ static void test_odd_ends(void **state)
     }
   }
   for (int lane = 0; lane < LANES; ++lane) {
-    ((double *)kg_program_tangent(p, 0, 1))[lane] = 1;
-    ((double *)kg_program_tangent(p, 1, 1))[lane] = 7;
+    ((double *)kg_program_tangent(p, 1, 1))[lane] = 1;
+    ((double *)kg_program_tangent(p, 0, 1))[lane] = 7;
   }
   assert_int_equal(kg_program_backward(p, 1), KG_OK);
   for (int lane = 0; lane < LANES; ++lane) {
     assert_true(((const double *)kg_program_output(p, 0))[lane] == 24 * (lane + 1));
     assert_true(((const double *)kg_program_output(p, 1))[lane] == lane + 1);
     assert_true(((const double *)kg_program_output(p, 2))[lane] == 24);
-    assert_true(((const double *)kg_program_adjoint(p, 0))[lane] == 24 + 10 + 24000 + 24000);
-    assert_true(((const double *)kg_program_adjoint(p, 1))[lane] == 0);
+    assert_true(((const double *)kg_program_adjoint(p, 1))[lane] == 24 + 10 + 24000 + 24000);
+    assert_true(((const double *)kg_program_adjoint(p, 0))[lane] == 0);
   }
   assert_int_equal(kg_program_forward(p, 1), KG_OK);
   const double expected[5] = {24, 1, 0, 24, 24};
