@@ -59,7 +59,8 @@ typedef struct kg_block {
   void *data;
   void *saved;
   size_t adjoint; /* first entry in the sweep's memory, per direction and lane */
-  uint32_t stamp; /* of the last sweep that reached it */
+  uint32_t stamp;   /* of the last sweep that reached it */
+  uint64_t reached; /* directions of it, modulo 64, in which the adjoint or tangent was written */
 } kg_block;
 
 typedef struct kg_node {
@@ -95,7 +96,7 @@ struct kg_graph {
   uint32_t swept;     /* nodes there were */
   kg_buffer scalar;   /* (count, directions) doubles */
   kg_buffer tensor;   /* (adjoint_size, directions, lanes) numbers, a block's directions slowest */
-  kg_buffer pointers; /* (2, widest) */
+  kg_buffer pointers; /* (3, widest) */
   /* primitives (primitive.h) */
   kg_tape *child;     /* where they record; NULL until one does */
   kg_buffer scratch;  /* of the one at work */
@@ -142,7 +143,7 @@ kg_status kg_sweep_begin(kg_graph *graph, int directions);
 /* The adjoint or tangent of a value, (directions, size, lanes), made zero when it was untouched;
  * NULL for a constant. */
 void *kg_sweep_seed(kg_graph *graph, uint32_t id);
-/* The same, NULL when untouched. */
+/* The same, NULL when untouched; directions that were not reached become zero. */
 void *kg_sweep_result(const kg_graph *graph, uint32_t id);
 /* Of an active scalar: (directions). */
 static inline double *kg_scalar_adjoint(const kg_graph *graph, uint32_t id)

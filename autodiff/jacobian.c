@@ -9,7 +9,7 @@
 
 #include <string.h>
 
-enum { MOST_DIRECTIONS = 16 };
+enum { MOST_DIRECTIONS = 32 };
 
 /* -- dense ------------------------------------------------------------------------------------- */
 

@@ -9,6 +9,13 @@
 
 #include <string.h>
 
+#define ALL UINT64_MAX /* directions */
+
+enum {
+  FEW = 4,  /* entries whose tangents are worth a look        */
+  AHEAD = 8 /* blocks fetched so many nodes before their turn */
+};
+
 kg_call kg_block_call(kg_graph *graph, const kg_block *block, const void **in)
 {
   for (int i = 0; i < block->count; ++i) {
@@ -26,8 +33,9 @@ kg_call kg_block_call(kg_graph *graph, const kg_block *block, const void **in)
 
 bool kg_graph_reserve_pointers(kg_graph *graph)
 {
+  const size_t one = sizeof(void *) > sizeof(uint64_t) ? sizeof(void *) : sizeof(uint64_t);
   return kg_buffer_reserve(&graph->pointers, graph->allocator,
-                           2 * (size_t)(graph->widest + 1) * sizeof(void *));
+                           3 * (size_t)(graph->widest + 1) * one);
 }
 
 kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node)
@@ -65,6 +73,21 @@ static void *block_adjoint(const kg_graph *graph, const kg_block *block)
   return (char *)graph->tensor.memory + block->adjoint * row;
 }
 
+static inline bool is_reached(uint64_t reached, int direction)
+{
+  return reached >> (direction & 63) & 1;
+}
+
+static void clear_unreached(const kg_graph *graph, kg_block *block)
+{
+  const size_t bytes = block->size * graph->lanes * graph->number;
+  for (int s = 0; block->reached != ALL && s < graph->directions; ++s) {
+    if (is_reached(block->reached, s)) continue;
+    memset((char *)block_adjoint(graph, block) + (size_t)s * bytes, 0, bytes);
+  }
+  block->reached = ALL;
+}
+
 void *kg_sweep_seed(kg_graph *graph, uint32_t id)
 {
   const kg_node *node = &graph->node[kg_index(id)];
@@ -76,6 +99,7 @@ void *kg_sweep_seed(kg_graph *graph, uint32_t id)
   void *adjoint = block_adjoint(graph, block);
   if (block->stamp != graph->stamp) {
     block->stamp = graph->stamp;
+    block->reached = ALL;
     memset(adjoint, 0, block->size * (size_t)graph->directions * graph->lanes * graph->number);
   }
   return adjoint;
@@ -88,7 +112,9 @@ void *kg_sweep_result(const kg_graph *graph, uint32_t id)
   if (!(id & KG_TENSOR)) {
     return kg_scalar_adjoint(graph, id);
   }
-  return node->is.block->stamp == graph->stamp ? block_adjoint(graph, node->is.block) : NULL;
+  if (node->is.block->stamp != graph->stamp) return NULL;
+  clear_unreached(graph, node->is.block);
+  return block_adjoint(graph, node->is.block);
 }
 
 /* bytes from one direction of a value's adjoint to the next */
@@ -98,9 +124,19 @@ static size_t stride_of(const kg_graph *graph, uint32_t id)
   return id & KG_TENSOR ? node->is.block->size * graph->lanes * graph->number : sizeof(double);
 }
 
+/* a block's head, operands, attributes and first numbers lie side by side */
+static inline void fetch(const kg_node *node)
+{
+  const char *block = (const char *)node->is.block;
+  for (size_t line = 0; node->is_block && line < 5; ++line) {
+    __builtin_prefetch(block + 64 * line);
+  }
+}
+
 static void backward_block(kg_graph *graph, const kg_node *node)
 {
   const kg_block *block = node->is.block;
+  if (node - graph->node > AHEAD) fetch(node - AHEAD);
   if (!node->active || block->stamp != graph->stamp || !block->count) return;
   const void **in = graph->pointers.memory;
   void **in_adjoint = (void **)(in + graph->widest + 1);
@@ -196,42 +232,77 @@ void kg_sweep_backward(kg_graph *graph, uint32_t last)
   }
 }
 
-static bool gather_tangents(const kg_graph *graph, const kg_block *block, const void **in_tangent)
+/* the directions of an operand in which its tangent is not known to be zero */
+static uint64_t directions_of(const kg_graph *graph, uint32_t id)
 {
-  bool any = false;
-  for (int i = 0; i < block->count; ++i) {
-    in_tangent[i] = kg_sweep_result(graph, block->input[i]);
-    any = any || in_tangent[i];
+  const kg_node *node = &graph->node[kg_index(id)];
+  if (!node->active) return 0;
+  if (id & KG_TENSOR) return node->is.block->stamp == graph->stamp ? node->is.block->reached : 0;
+  const double *tangent = kg_scalar_adjoint(graph, id);
+  uint64_t reached = 0;
+  for (int s = 0; s < graph->directions; ++s) {
+    reached |= (uint64_t)(tangent[s] != 0) << (s & 63);
   }
-  return any;
+  return reached;
 }
 
+static const char *tangent_of(const kg_graph *graph, uint32_t id, int direction)
+{
+  const char *tangent = id & KG_TENSOR ? block_adjoint(graph, graph->node[kg_index(id)].is.block)
+                                       : (const void *)kg_scalar_adjoint(graph, id);
+  return tangent + (size_t)direction * stride_of(graph, id);
+}
+
+/* Tangents that are zero, of an input or of what was taken out of one, are left alone from here on. */
+static void find_reached(const kg_graph *graph, kg_block *block)
+{
+  const size_t bytes = block->size * graph->lanes * graph->number;
+  const char *tangent = block_adjoint(graph, block);
+  const uint64_t written = block->reached;
+  block->reached = 0;
+  for (int s = 0; s < graph->directions; ++s, tangent += bytes) {
+    if (!is_reached(written, s)) continue;
+    const bool zero = tangent[0] == 0 && memcmp(tangent, tangent + 1, bytes - 1) == 0;
+    block->reached |= (uint64_t)!zero << (s & 63);
+  }
+}
+
+/* Directions in which no operand moves are left alone: of a chain of joints, for instance, each link
+ * is moved by few of all angles. */
 static bool forward_block(kg_graph *graph, uint32_t index)
 {
-  const kg_block *block = graph->node[index].is.block;
+  kg_block *block = graph->node[index].is.block;
   const void **in = graph->pointers.memory, **in_tangent = in + graph->widest + 1;
-  if (!gather_tangents(graph, block, in_tangent)) return true;
+  uint64_t *moved = (uint64_t *)(in_tangent + graph->widest + 1), any = 0;
+  for (int i = 0; i < block->count; ++i) {
+    moved[i] = directions_of(graph, block->input[i]);
+    any |= moved[i];
+  }
+  if (!any) return true;
   const kg_call call = kg_block_call(graph, block, in);
-  char *tangent = kg_sweep_seed(graph, index | KG_TENSOR);
+  block->stamp = graph->stamp;
+  block->reached = any;
   for (int s = 0; s < graph->directions; ++s) {
-    block->kernel->jvp(&call, in_tangent, tangent);
-    tangent += block->size * graph->lanes * graph->number;
-    for (int i = 0; s + 1 < graph->directions && i < block->count; ++i) {
-      if (in_tangent[i]) {
-        in_tangent[i] = (const char *)in_tangent[i] + stride_of(graph, block->input[i]);
-      }
+    if (!is_reached(any, s)) continue;
+    for (int i = 0; i < block->count; ++i) {
+      in_tangent[i] = is_reached(moved[i], s) ? tangent_of(graph, block->input[i], s) : NULL;
     }
+    block->kernel->jvp(&call, in_tangent,
+                       (char *)block_adjoint(graph, block) +
+                         (size_t)s * block->size * graph->lanes * graph->number);
   }
   graph->failed = index;
+  if (block->size <= FEW) find_reached(graph, block);
   return graph->status == KG_OK;
 }
 
 static void forward_element(const kg_graph *graph, const kg_node *node, double *tangent)
 {
-  const double *tensor = kg_sweep_result(graph, node->input[0]);
-  const size_t size = graph->node[kg_index(node->input[0])].is.block->size;
-  for (size_t s = 0; tensor && s < (size_t)graph->directions; ++s) {
-    tangent[s] = tensor[s * size + node->input[1]];
+  const uint64_t moved = directions_of(graph, node->input[0]);
+  for (int s = 0; moved && s < graph->directions; ++s) {
+    if (!is_reached(moved, s)) continue;
+    tangent[s] =
+      ((const double *)(const void *)tangent_of(graph, node->input[0], s))[node->input[1]];
   }
 }
 
@@ -257,8 +328,10 @@ void kg_sweep_forward(kg_graph *graph, uint32_t first)
 {
   for (uint32_t i = first ? first : 1; i < graph->swept; ++i) {
     const kg_node *node = &graph->node[i];
-    if (!node->active || node->op == kg_op_input) continue;
-    if (node->is_block) {
+    if (!node->active || (node->op == kg_op_input && !node->is_block)) continue;
+    if (node->op == kg_op_input) {
+      if (node->is.block->stamp == graph->stamp) find_reached(graph, node->is.block);
+    } else if (node->is_block) {
       if (!forward_block(graph, i)) return;
     } else {
       forward_scalar(graph, node);
