@@ -75,6 +75,7 @@ kg_value kg_transpose(kg_tape *tape, kg_value a, int axis1, int axis2)
   return move(tape, kg_op_transpose, a, shape, &exchange, sizeof exchange);
 }
 
+/* One window shares the operand's numbers; a scalar has no axis to cut. */
 kg_value kg_slice(kg_tape *tape, kg_value a, int axis, int start, int count)
 {
   if (!kg_operands_given(tape, 1, &a)) return (kg_value){0};
@@ -90,7 +91,16 @@ kg_value kg_slice(kg_tape *tape, kg_value a, int axis, int start, int count)
                             .start = (size_t)start * split.inner,
                             .width = (size_t)count * split.inner};
   shape.dim[axis] = count;
-  return move(tape, kg_op_slice, a, shape, &window, sizeof window);
+  const char *data = kg_node_data(&tape->graph, a.id);
+  return kg_record(
+    tape,
+    &(kg_recipe){.op = kg_op_slice,
+                 .count = 1,
+                 .operands = &a,
+                 .shape = shape,
+                 .attributes = &window,
+                 .attribute_bytes = sizeof window,
+                 .alias = split.outer == 1 ? data + window.start * tape->graph.number : NULL});
 }
 
 /* -- joining ----------------------------------------------------------------------------------- */

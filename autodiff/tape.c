@@ -272,7 +272,7 @@ static kg_block *new_block(kg_tape *tape, const kg_recipe *recipe)
   const size_t operands = round_up((size_t)recipe->count * sizeof(uint32_t), 8);
   const size_t attributes = recipe->attributes_taken ? 0 : round_up(recipe->attribute_bytes, 8);
   const size_t size = kg_shape_size(&recipe->shape), number = tape->graph.number;
-  const size_t align = size * number >= 64 ? 64 : 16;
+  const size_t align = size * number >= 1024 ? 64 : 16; /* of small ones no room is lost */
   char *memory = kg_arena_take(&tape->arena, head + operands + attributes, 16);
   char *data = recipe->alias ? NULL : kg_arena_take(&tape->arena, size * number, align);
   char *saved = recipe->saved ? kg_arena_take(&tape->arena, recipe->saved * number, align) : NULL;
@@ -349,7 +349,7 @@ kg_value kg_record(kg_tape *tape, const kg_recipe *recipe)
   if (!node) return (kg_value){0};
   if (recipe->known) {
     memcpy(node->is.block->data, recipe->known, node->is.block->size * tape->graph.number);
-  } else {
+  } else if (!recipe->alias) {
     const kg_status status = kg_graph_evaluate(&tape->graph, node);
     if (status != KG_OK) {
       kg_refuse_node(tape, --tape->graph.count, status);
