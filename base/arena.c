@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { ALIGNMENT = 64, SMALLEST_BLOCK = 4096 };
+enum { ALIGNMENT = 64, SMALLEST_BLOCK = 4096, MANY = 65536 };
 
 struct kg_arena_block {
   kg_arena_block *previous;
@@ -50,9 +50,10 @@ static kg_arena_block *new_block(kg_arena *arena, size_t least)
 {
   /* each block is twice as large as the last: few blocks, little waste */
   size_t bytes = arena->last ? 2 * arena->last->bytes : SMALLEST_BLOCK;
-  if (bytes < least || bytes > 16 * least + SMALLEST_BLOCK) {
-    bytes = least;
+  if (bytes > 16 * least + MANY) {
+    bytes = 16 * least + MANY;
   }
+  bytes = bytes < least ? least : bytes;
   kg_arena_block *block = take(arena->allocator, bytes);
   if (block) {
     block->bytes = bytes;
