@@ -118,7 +118,7 @@ kg_status kg_bench_hand_reference(const kg_bench_hand *hand, double *residual, d
   for (int c = 0; c < columns; c++) {
     for (size_t i = 0; i < parameters; i++) {
       const bool moves = i < KG_BENCH_HAND_POSE ? (int)i == c : 26 + (int)i % 2 == c;
-      theta[i] = CMPLX(hand->theta[i], moves ? 1e-100 : 0.0);
+      theta[i] = hand->theta[i] + (moves ? 1e-100 : 0.0) * I;
     }
     hand_residuals(hand, theta, result, result + rows);
     for (size_t r = 0; r < rows; r++) {

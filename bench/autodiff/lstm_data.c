@@ -57,7 +57,7 @@ kg_status kg_bench_lstm_reference(const kg_bench_lstm *lstm, double *loss, doubl
     theta[i] = lstm->theta[i];
   }
   for (size_t i = 0; i < count; i++) {
-    theta[i] = CMPLX(lstm->theta[i], 1e-100);
+    theta[i] = lstm->theta[i] + 1e-100 * I;
     const number at = lstm_loss(lstm, theta, theta + count);
     theta[i] = lstm->theta[i];
     *loss = creal(at);
