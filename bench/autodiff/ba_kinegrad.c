@@ -1,7 +1,8 @@
 /* Bundle adjustment by kinegrad: one observation recorded as scalar operators.
  *
  *   recorded   anew for each observation, both rows of its Jacobian in one backward sweep
- *   replayed   recorded once and frozen; runs on LANES observations side by side
+ *   replayed   recorded once and frozen; runs on LANES observations side by side (rows of 512 numbers
+ *              would start 4096 bytes apart and compete for the same lines of the cache)
  *
  * Weight residuals have a program of their own; so has the loss, summed over the lanes afterwards. */
 #include <stdlib.h>
@@ -11,7 +12,7 @@
 #include "kinegrad/derivatives.h"
 #include "kinegrad/program.h"
 
-enum { LANES = 256, INPUTS = KG_BENCH_BA_INPUTS, CAMERA = KG_BENCH_BA_CAMERA, WEIGHT = 14 };
+enum { LANES = 376, INPUTS = KG_BENCH_BA_INPUTS, CAMERA = KG_BENCH_BA_CAMERA, WEIGHT = 14 };
 
 /* ---- one observation ------------------------------------------------------------------------- */
 
@@ -91,7 +92,6 @@ typedef struct state {
   const kg_bench_ba *ba;
   kg_tape *tape;
   kg_program *program, *weights;
-  double rows[LANES * 2 * INPUTS];
 } state;
 
 void kg_bench_ba_tape_destroy(void *memory)
@@ -260,21 +260,26 @@ static kg_status run_observations(state *s, int start, int count, int directions
   return status == KG_OK ? kg_program_backward(s->program, directions) : status;
 }
 
-/* by way of a small array: copied in one piece, the large one need not be read to be written */
-static void store_rows(state *s, int count, double *to)
+/* from rows of lanes to observations one after the other; some lanes at a time, so that what one
+ * cache line holds is used while it is there */
+static void store_rows(state *s, int count, double *restrict to)
 {
-  const double *adjoint[INPUTS];
-  double *rows = s->rows;
+  enum { TOGETHER = 8 };
+  const double *rows[INPUTS];
   for (int k = 0; k < INPUTS; ++k) {
-    adjoint[k] = kg_program_adjoint(s->program, k);
+    rows[k] = kg_program_adjoint(s->program, k);
   }
-  for (int lane = 0; lane < count; ++lane, rows += 2 * INPUTS) {
+  for (int start = 0; start < count; start += TOGETHER) {
+    const int n = count - start < TOGETHER ? count - start : TOGETHER;
     for (int k = 0; k < INPUTS; ++k) {
-      rows[k] = adjoint[k][lane];
-      rows[INPUTS + k] = adjoint[k][LANES + lane];
+      const double *adjoint = rows[k] + start;
+      double *entry = to + (size_t)start * 2 * INPUTS + k;
+      for (int lane = 0; lane < n; ++lane, entry += 2 * INPUTS) {
+        entry[0] = adjoint[lane];
+        entry[INPUTS] = adjoint[LANES + lane];
+      }
     }
   }
-  memcpy(to, s->rows, (size_t)count * 2 * INPUTS * sizeof *to);
 }
 
 kg_status kg_bench_ba_replay_observations(void *memory, double *answer)
