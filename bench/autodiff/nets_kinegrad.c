@@ -149,7 +149,7 @@ kg_status kg_net_recorded_run(void *state, double *answer)
   return kg_tape_status(m->tape);
 }
 
-/* The parameters, x and target are inputs of the program. */
+/* The parameters are inputs of the program, and x and target too, though not differentiated. */
 kg_status kg_net_replayed_create(void **state, const void *data, const kg_allocator *allocator)
 {
   kg_status status = kg_net_recorded_create(state, data, allocator);
@@ -158,8 +158,8 @@ kg_status kg_net_replayed_create(void **state, const void *data, const kg_alloca
   const kg_bench_net *of = m->of;
   kg_value inputs[INPUTS];
   memcpy(inputs, m->parameter, sizeof m->parameter);
-  inputs[X] = kg_input_f32(m->tape, rows_of(m, of->width[0]), NULL);
-  inputs[TARGET] = kg_input_f32(m->tape, rows_of(m, of->width[LAYERS]), NULL);
+  inputs[X] = kg_constant_f32(m->tape, rows_of(m, of->width[0]), NULL);
+  inputs[TARGET] = kg_constant_f32(m->tape, rows_of(m, of->width[LAYERS]), NULL);
   const kg_value value = loss(m, inputs[X], inputs[TARGET]);
   kg_program_def def = kg_program_default_def();
   def.allocator = allocator;
