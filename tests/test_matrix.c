@@ -284,6 +284,28 @@ static void directions_of_a_sweep_are_independent(void **state)
   kg_tape_destroy(tape);
 }
 
+/* what an operand used several times receives adds up */
+static void adjoints_of_shared_operands_add_up(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(6);
+  for (int flags = 0; flags <= (KG_TRANSPOSE_A | KG_TRANSPOSE_B); ++flags) {
+    kg_tape *tape = new_tape(KG_DOUBLE);
+    const struct solve_case square = {{2, {3, 3}}, {2, {3, 3}}, 0, false};
+    const kg_value v[3] = {random_matrices(tape, &square, &random),
+                           random_input(tape, square.b, &random),
+                           random_input(tape, KG_SHAPE(3), &random)};
+    const kg_value product = kg_matmul(tape, kg_matmul(tape, v[0], v[1], flags), v[0], flags);
+    check_operator(tape, 2, v, kg_add(tape, product, v[1]), &random, 1e-12);
+    const kg_value layer = kg_affine(tape, kg_affine(tape, v[0], v[1], v[2]), v[1], v[2]);
+    check_operator(tape, 3, v, kg_add(tape, layer, kg_mul(tape, v[0], v[2])), &random, 1e-12);
+    const int half = flags & KG_TRANSPOSE_A;
+    const kg_value x = kg_solve(tape, v[0], kg_solve(tape, v[0], v[1], half), half);
+    check_operator(tape, 2, v, kg_add(tape, x, v[1]), &random, 1e-11);
+    kg_tape_destroy(tape);
+  }
+}
+
 static void shapes_that_do_not_fit_are_named(void **state)
 {
   (void)state;
@@ -335,6 +357,7 @@ int main(void)
     cmocka_unit_test(solutions_satisfy_their_equations),
     cmocka_unit_test(matrices_without_inverse_have_no_solution),
     cmocka_unit_test(directions_of_a_sweep_are_independent),
+    cmocka_unit_test(adjoints_of_shared_operands_add_up),
     cmocka_unit_test(shapes_that_do_not_fit_are_named),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);

@@ -105,7 +105,7 @@ static const struct convolution_case {
                     {2, 6, 3, 4, 3, KG_PAD_CAUSAL, 1}, {3, 7, 2, 5, 4, KG_PAD_SAME, 1},
                     {2, 9, 2, 3, 3, KG_PAD_SAME, 2},   {2, 9, 2, 3, 3, KG_PAD_CAUSAL, 3},
                     {2, 4, 2, 2, 5, KG_PAD_SAME, 3},   {1, 2, 3, 2, 3, KG_PAD_CAUSAL, 100},
-                    {2, 40, 33, 20, 3, KG_PAD_SAME, 1}};
+                    {2, 5, 2, 2, 3, KG_PAD_CAUSAL, 3}, {2, 40, 33, 20, 3, KG_PAD_SAME, 1}};
 
 /* y[b, t, o] by the definition */
 static double convolved(const kg_tape *tape, const struct convolution_case *c, kg_value x,
@@ -157,6 +157,24 @@ static void convolution_is_its_definition(void **state)
   }
 }
 
+/* what an operand used several times receives adds up */
+static void adjoints_of_shared_operands_add_up(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(3);
+  kg_tape *tape = new_tape(KG_DOUBLE, 3);
+  const kg_value v[3] = {random_input(tape, KG_SHAPE(2, 4, 3), &random),
+                         random_input(tape, KG_SHAPE(3, 3, 3), &random),
+                         random_input(tape, KG_SHAPE(3), &random)};
+  const kg_value once = kg_convolve(tape, v[0], v[1], v[2], KG_PAD_SAME, 1);
+  const kg_value twice = kg_convolve(tape, once, v[1], v[2], KG_PAD_CAUSAL, 1);
+  check_operator(tape, 3, v, kg_add(tape, twice, kg_mul(tape, v[0], v[2])), &random, 1e-12);
+  const kg_sparse square = {4, 4, start, column, weight};
+  const kg_value y = kg_aggregate(tape, &square, kg_aggregate(tape, &square, v[0]));
+  check_operator(tape, 1, v, kg_add(tape, y, v[0]), &random, 1e-12);
+  kg_tape_destroy(tape);
+}
+
 static void convolutions_that_do_not_fit_are_named(void **state)
 {
   (void)state;
@@ -190,6 +208,7 @@ int main(void)
     cmocka_unit_test(entries_outside_the_matrix_are_not_read),
     cmocka_unit_test(malformed_matrices_are_refused),
     cmocka_unit_test(convolution_is_its_definition),
+    cmocka_unit_test(adjoints_of_shared_operands_add_up),
     cmocka_unit_test(convolutions_that_do_not_fit_are_named),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);

@@ -40,7 +40,7 @@ static kg_sparse sparse_of(const kg_bench_net *of, kg_arena *arena)
   return (kg_sparse){n, n, start, column, weight};
 }
 
-static void record_parameters(net *m)
+static kg_status record_parameters(net *m)
 {
   const kg_bench_net *of = m->of;
   const float *at = of->theta;
@@ -53,6 +53,8 @@ static void record_parameters(net *m)
     m->parameter[2 * l + 1] = kg_input_f32(m->tape, KG_SHAPE(out), at);
     at += out;
   }
+  m->parameters_end = kg_tape_mark_of(m->tape);
+  return kg_tape_status(m->tape);
 }
 
 static kg_value layer(const net *m, int l, kg_value h)
@@ -113,12 +115,11 @@ kg_status kg_net_recorded_create(void **state, const void *data, const kg_alloca
   const kg_tape_def def = {.precision = KG_FLOAT, .allocator = allocator, .simd = 3};
   kg_status status = kg_arena_failed(&m->arena) ? KG_ERR_NO_MEMORY : KG_OK;
   if (status == KG_OK) status = kg_tape_create(&def, &m->tape, NULL);
+  if (status == KG_OK) status = record_parameters(m);
   if (status != KG_OK) {
     kg_net_destroy(m);
     return status;
   }
-  record_parameters(m);
-  m->parameters_end = kg_tape_mark_of(m->tape);
   *state = m;
   return KG_OK;
 }
@@ -164,7 +165,10 @@ kg_status kg_net_replayed_create(void **state, const void *data, const kg_alloca
   kg_program_def def = kg_program_default_def();
   def.allocator = allocator;
   status = kg_program_create(&def, m->tape, INPUTS, inputs, 1, &value, &m->program, NULL);
-  if (status != KG_OK) kg_net_destroy(m);
+  if (status != KG_OK) {
+    kg_net_destroy(m);
+    *state = NULL;
+  }
   return status;
 }
 
