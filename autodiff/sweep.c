@@ -192,13 +192,13 @@ static inline void add_terms(double *to, double partial, const double *adjoint,
   if (s < directions && adjoint[s] != 0) to[s] += partial * adjoint[s];
 }
 
-/* leaves, blocks, and entries of tensors that became scalars */
+/* blocks, and entries of tensors that became scalars */
 static __attribute__((noinline)) void backward_other(kg_graph *graph, const kg_node *node,
                                                      const double *adjoint)
 {
   if (node->is_block) {
     backward_block(graph, node);
-  } else if (node->input[0] & KG_TENSOR) {
+  } else {
     backward_element(graph, node, adjoint);
   }
 }
@@ -212,6 +212,7 @@ static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint
     const kg_node *node = &graph->node[i];
     const double *adjoint = scalar + i * directions;
     if ((int32_t)node->input[0] <= 0) {
+      if (!node->input[0] && !node->is_block) continue; /* a leaf */
       backward_other(graph, node, adjoint);
       if (graph->status != KG_OK) return;
       continue;

@@ -424,7 +424,7 @@ kg_value kg_constant_f32(kg_tape *tape, kg_shape shape, const float *data)
   return leaf_f32(tape, kg_op_constant, shape, data);
 }
 
-static kg_value scalar_leaf(kg_tape *tape, kg_op op, double x)
+static inline kg_value scalar_leaf(kg_tape *tape, kg_op op, double x)
 {
   if (tape->precision != KG_DOUBLE) return leaf_f64(tape, op, KG_SCALAR_SHAPE, &x);
   kg_graph *graph = &tape->graph;
@@ -445,6 +445,16 @@ static kg_value scalar_leaf(kg_tape *tape, kg_op op, double x)
 kg_value kg_scalar(kg_tape *tape, double x)
 {
   return scalar_leaf(tape, kg_op_input, x);
+}
+
+void kg_scalars(kg_tape *tape, int count, const double *x, kg_value *values)
+{
+  for (int i = 0; i < count; ++i) {
+    values[i] = scalar_leaf(tape, kg_op_input, x[i]);
+  }
+  for (int i = 0; tape->error.status != KG_OK && i < count; ++i) {
+    values[i] = (kg_value){0};
+  }
 }
 
 kg_value kg_constant_scalar(kg_tape *tape, double x)

@@ -193,6 +193,30 @@ static void null_values_are_harmless(void **state)
   kg_tape_destroy(tape);
 }
 
+static void scalars_come_many_at_once(void **state)
+{
+  (void)state;
+  const double x[3] = {2, 3, 5};
+  for (int precision = KG_DOUBLE; precision <= KG_FLOAT; ++precision) {
+    kg_tape_def def = kg_tape_default_def();
+    def.precision = (kg_precision)precision;
+    kg_tape *tape;
+    kg_value v[3];
+    assert_int_equal(kg_tape_create(&def, &tape, NULL), KG_OK);
+    kg_scalars(tape, 3, x, v);
+    const kg_value y = kg_mul(tape, kg_mul(tape, v[0], v[1]), v[2]);
+    assert_int_equal(kg_backward(tape, y), KG_OK);
+    for (int i = 0; i < 3; ++i) {
+      assert_close(kg_item(tape, v[i]), x[i], 0);
+      assert_close(kg_adjoint_item(tape, v[i]), 30 / x[i], 0);
+    }
+    kg_add(tape, kg_input(tape, KG_SHAPE(2), x), kg_input(tape, KG_SHAPE(3), x));
+    kg_scalars(tape, 3, x, v); /* after a failure */
+    assert_true(kg_is_null(v[0]) && kg_is_null(v[1]) && kg_is_null(v[2]));
+    kg_tape_destroy(tape);
+  }
+}
+
 static void malformed_shapes_are_refused(void **state)
 {
   (void)state;
@@ -574,6 +598,7 @@ int main(void)
     cmocka_unit_test(adjoints_belong_to_the_last_sweep),
     cmocka_unit_test(the_first_failure_stays_until_the_rewind),
     cmocka_unit_test(null_values_are_harmless),
+    cmocka_unit_test(scalars_come_many_at_once),
     cmocka_unit_test(malformed_shapes_are_refused),
     cmocka_unit_test(a_zero_adjoint_stops),
     cmocka_unit_test(the_trace_names_the_first_bad_value),

@@ -206,7 +206,8 @@ static const kg_bench_pair jacobian_pairs[] = {
 static const kg_bench_pair observation_pairs[] = {
   {"kinegrad recorded, us", RECORDED, RECORDED, 0.6},
   {"kinegrad replayed, us", REPLAYED, REPLAYED, 0.15},
-  {"kinegrad over ADOL-C", RECORDED, ADOLC_RETAPED, 0.1},
+  {"kinegrad over ADOL-C", REPLAYED, ADOLC_REPLAYED, 0.1},
+  {"kinegrad over ADOL-C, recorded", RECORDED, ADOLC_RETAPED, 0},
 };
 static const kg_bench_pair loss_pairs[] = {
   {"kinegrad replayed", 1, 0, 4.0},

@@ -23,9 +23,7 @@ typedef struct observation {
 
 static void inputs(kg_tape *t, const double *x, const double *feature, observation *o)
 {
-  for (int i = 0; i < INPUTS; ++i) {
-    o->in[i] = kg_scalar(t, x[i]);
-  }
+  kg_scalars(t, INPUTS, x, o->in);
   o->in[INPUTS] = kg_constant_scalar(t, feature[0]);
   o->in[INPUTS + 1] = kg_constant_scalar(t, feature[1]);
 }

@@ -79,6 +79,8 @@ KG_API void kg_tape_destroy(kg_tape *tape);
 KG_API kg_value kg_input(kg_tape *tape, kg_shape shape, const double *data);
 KG_API kg_value kg_input_f32(kg_tape *tape, kg_shape shape, const float *data);
 KG_API kg_value kg_scalar(kg_tape *tape, double x);
+/* count of them: values[i] holds x[i]; all null on failure. */
+KG_API void kg_scalars(kg_tape *tape, int count, const double *x, kg_value *values);
 
 /* The same, never differentiated: no work is spent on its adjoint, and kg_adjoint refuses it. */
 KG_API kg_value kg_constant(kg_tape *tape, kg_shape shape, const double *data);
