@@ -504,12 +504,6 @@ while read -r row; do
   claim "docs/errors.md has $row" grep -qF "$row" "$data/../../docs/errors.md"
 done <statuses.txt
 
-root=$data/../..
-sed -n '/\[readme\]/,/\[readme\]/p' "$root/examples/correct_clip.c" | sed '1d; $d; s/^  //' >region.txt
-# shellcheck disable=SC2016 # a pattern; the first block
-awk '/^```$/ && inside {exit} inside {print} /^```c$/ {inside = 1}' "$root/README.md" >block.txt
-claim "the README shows a region of the compiled example" test -s region.txt
-claim "and shows it as it is" cmp region.txt block.txt
 
 # ---- interruption: 130, nothing left -------------------------------------------------------------
 

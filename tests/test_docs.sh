@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Code and output quoted in docs/guide are those of the examples: test_docs.sh SOURCE EXAMPLES
+# Code and output quoted in README.md and docs/guide are those of the examples: test_docs.sh SOURCE EXAMPLES
 #
 #   <!-- examples/FILE.c [REGION] -->   the fenced block below equals the lines of the file between
 #                                       two comments /* [REGION] */, less their common indent
@@ -30,7 +30,7 @@ block() {
 }
 
 quotes=0
-for page in "$source"/docs/guide/*.md; do
+for page in "$source"/README.md "$source"/docs/guide/*.md; do
   while IFS= read -r marker; do
     quotes=$((quotes + 1))
     quoted=$(block "$page" "$marker")
@@ -49,5 +49,5 @@ for page in "$source"/docs/guide/*.md; do
   awk '/^```c$/ && previous !~ /^<!-- examples\// { print FILENAME ":" FNR; bad = 1 }
     { previous = $0 } END { exit bad }' "$page" || fail "C code that is no example's"
 done
-((quotes >= 15)) || fail "only $quotes quotations found"
+((quotes >= 17)) || fail "only $quotes quotations found"
 exit $failed
