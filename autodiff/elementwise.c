@@ -131,6 +131,7 @@ kg_value kg_record_elementwise(kg_tape *tape, kg_op op, int count, const kg_valu
                      kg_shape_print(shapes[0]).text, kg_shape_print(shapes[1]).text,
                      count > 2 ? ", " : "", count > 2 ? kg_shape_print(shapes[2]).text : "");
   }
+  if (!equal && !kg_check_shape(tape, op, result)) return (kg_value){0};
   kg_elementwise e;
   e.rank = 0;
   if (!equal) e = kg_plan_elementwise(count, shapes, result);
@@ -222,8 +223,8 @@ kg_value kg_clamp(kg_tape *tape, kg_value a, double low, double high)
   if (!kg_is_scalar_node(a)) {
     return kg_record_elementwise(tape, kg_op_clamp, 1, &a, low, high, false);
   }
-  const kg_value below = kg_min(tape, a, kg_constant_scalar(tape, high));
-  return kg_max(tape, below, kg_constant_scalar(tape, low));
+  const kg_value above = kg_max(tape, a, kg_constant_scalar(tape, low));
+  return kg_min(tape, above, kg_constant_scalar(tape, high));
 }
 
 #define BINARY_FUNCTION(name, value_rule, slope_a, slope_b)                                        \

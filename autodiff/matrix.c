@@ -82,6 +82,7 @@ kg_value kg_matmul(kg_tape *tape, kg_value a, kg_value b, int flags)
   kg_shape shape = sa.rank > 2 ? sa : sb;
   shape.dim[shape.rank - 2] = m;
   shape.dim[shape.rank - 1] = n;
+  if (!kg_check_shape(tape, kg_op_matmul, shape)) return (kg_value){0};
   kg_product p = {.batch = leading_size(shape), .m = (size_t)m, .n = (size_t)n, .k = (size_t)k};
   p.transposed_a = ta;
   p.transposed_b = tb;
@@ -113,6 +114,7 @@ kg_value kg_affine(kg_tape *tape, kg_value x, kg_value weight, kg_value bias)
                   .n = (size_t)sw.dim[1],
                   .k = (size_t)sw.dim[0]};
   shape.dim[last] = sw.dim[1];
+  if (!kg_check_shape(tape, kg_op_affine, shape)) return (kg_value){0};
   return record_product(tape, kg_op_affine, count, operands, shape, &p);
 }
 

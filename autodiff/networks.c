@@ -56,6 +56,7 @@ kg_value kg_aggregate(kg_tape *tape, const kg_sparse *matrix, kg_value x)
   attributes->columns = split.length;
   attributes->features = split.inner;
   shape.dim[nodes] = matrix->rows;
+  if (!kg_check_shape(tape, kg_op_aggregate, shape)) return (kg_value){0};
   return kg_record(tape, &(kg_recipe){.op = kg_op_aggregate,
                                       .count = 1,
                                       .operands = &x,
@@ -89,6 +90,7 @@ kg_value kg_convolve(kg_tape *tape, kg_value x, kg_value weight, kg_value bias, 
                                      .before = before,
                                      .dilation = dilation};
   shape.dim[2] = sw.dim[2];
+  if (!kg_check_shape(tape, kg_op_convolve, shape)) return (kg_value){0};
   return kg_record(tape, &(kg_recipe){.op = kg_op_convolve,
                                       .count = count,
                                       .operands = operands,

@@ -31,7 +31,7 @@
   X(tanh,       TANH(a),                (KG_ONE - y) * (KG_ONE + y))                               \
   X(sigmoid,    SIGMOID(a),             y * (KG_ONE - y))                                          \
   X(softplus,   SOFTPLUS(a),            SIGMOID(a))                                                \
-  X(relu,       RE(a) > 0 ? a : KG_ZERO, RE(a) > 0 ? KG_ONE : KG_ZERO)                             \
+  X(relu,       RE(a) <= 0 ? KG_ZERO : a, RE(a) <= 0 ? KG_ZERO : KG_ONE)                             \
   X(scale,      p * a,                  p)                                                         \
   X(shift,      a + p,                  KG_ONE)                                                    \
   X(power,      POW(a, p),              POWER_SLOPE(a, p))

@@ -88,11 +88,53 @@ static void binary_rules_broadcast_and_equal_complex_steps(void **state)
   }
 }
 
+/* three operands of 8 and 16 MB would make 2^61 numbers, whose bytes are 0 modulo 2^64 */
+static void results_too_large_to_count_are_refused(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape();
+  const int32_t n = 1 << 20;
+  const kg_value mask = kg_constant(tape, KG_SHAPE(2 * n, 1, 1), NULL);
+  const kg_value a = kg_input(tape, KG_SHAPE(n, 1), NULL), b = kg_input(tape, KG_SHAPE(n), NULL);
+  assert_true(kg_is_null(kg_where(tape, mask, a, b)));
+  assert_int_equal(kg_tape_status(tape), KG_ERR_SHAPE);
+  kg_tape_destroy(tape);
+}
+
+static void check_value(kg_tape *tape, kg_value y, double expected, const char *what)
+{
+  const double got = kg_item(tape, y);
+  if (got != expected && !(isnan(got) && isnan(expected))) {
+    fail_msg("%s: %g, not %g", what, got, expected);
+  }
+}
+
+/* min(max(a, low), high) to the letter, low > high too; what is not a number stays so */
+static void clamp_and_relu_mean_their_formulas(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape();
+  for (int rank = 0; rank < 2; ++rank) {
+    for (double x = -3; x <= 3; x += 1) {
+      const kg_value a = rank ? kg_input(tape, KG_SHAPE(1), &x) : kg_scalar(tape, x);
+      check_value(tape, kg_clamp(tape, a, -1, 2), fmin(fmax(x, -1), 2), "clamp");
+      check_value(tape, kg_clamp(tape, a, 2, -1), -1, "clamp between bounds exchanged");
+    }
+    const double nan = NAN;
+    const kg_value a = rank ? kg_input(tape, KG_SHAPE(1), &nan) : kg_scalar(tape, nan);
+    check_value(tape, kg_clamp(tape, a, -1, 2), NAN, "clamp");
+    check_value(tape, kg_relu(tape, a), NAN, "relu");
+  }
+  kg_tape_destroy(tape);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(unary_rules_equal_complex_steps),
     cmocka_unit_test(binary_rules_broadcast_and_equal_complex_steps),
+    cmocka_unit_test(results_too_large_to_count_are_refused),
+    cmocka_unit_test(clamp_and_relu_mean_their_formulas),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }

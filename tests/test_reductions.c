@@ -385,6 +385,17 @@ static void instruction_sets_agree_in_every_bit(void **state)
   free(g);
 }
 
+static void norms_of_infinities(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape(KG_DOUBLE, 3);
+  const double x[] = {1, -INFINITY, 2, INFINITY, INFINITY, NAN};
+  const kg_value y = kg_norm(tape, kg_input(tape, KG_SHAPE(2, 3), x), 1);
+  assert_true(kg_item_at(tape, y, 0) == INFINITY);
+  assert_true(isnan(kg_item_at(tape, y, 1)));
+  kg_tape_destroy(tape);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -398,6 +409,7 @@ int main(void)
     cmocka_unit_test(zero_adjoints_stop),
     cmocka_unit_test(shapes_are_refused_in_words),
     cmocka_unit_test(instruction_sets_agree_in_every_bit),
+    cmocka_unit_test(norms_of_infinities),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -153,7 +153,7 @@ static inline real kg_power_slope(real a, real b)
 
 #define POWER_SLOPE(a, b) kg_power_slope(a, b)
 #define SIGN(a) (RE(a) > 0 ? KG_ONE : RE(a) < 0 ? -KG_ONE : KG_ZERO)
-#define CLAMP(a, p, q) (RE(a) < RE(p) ? (p) : RE(a) > RE(q) ? (q) : (a))
+#define CLAMP(a, p, q) MIN(MAX(a, p), q)
 /* d atan2(a, b) = (b da - a db) / (a^2 + b^2): c is the coordinate on top */
 #define ATAN2_SLOPE(c, a, b) kg_atan2_slope(c, a, b)
 #define HYPOT_SLOPE(c, y) (RE(y) == 0 ? KG_ZERO : (c) / (y))

@@ -44,7 +44,7 @@ KG_API kg_value kg_scale(kg_tape *tape, kg_value a, double factor);
 KG_API kg_value kg_shift(kg_tape *tape, kg_value a, double term);
 /* a^exponent: any a for an integer exponent, a >= 0 otherwise. */
 KG_API kg_value kg_power(kg_tape *tape, kg_value a, double exponent);
-/* min(max(a, low), high); derivative 1 for low <= a <= high, 0 outside. */
+/* min(max(a, low), high); derivative 1 for low <= a <= high, 0 outside. NaN stays NaN. */
 KG_API kg_value kg_clamp(kg_tape *tape, kg_value a, double low, double high);
 
 KG_API kg_value kg_neg(kg_tape *tape, kg_value a);
