@@ -111,10 +111,12 @@ static const void *adjoint_of(kg_tape *tape, kg_value value, bool wants_double)
   if (!kg_values_usable(tape, "adjoint", 1, &value) ||
       !kg_values_differentiable(tape, "adjoint", 1, &value))
     return NULL;
+  const uint32_t index = kg_index(value.id);
   if (is_double(tape, value) != wants_double || tape->graph.directions == 0 ||
-      kg_index(value.id) >= tape->graph.swept) {
+      index >= tape->graph.swept || index < tape->graph.complete) {
     kg_refuse(tape, KG_ERR_UNSUPPORTED, "adjoint",
-              "no sweep since the value was recorded, or a tape of the other precision");
+              "no backward sweep over the value since it was recorded, or a tape of the other "
+              "precision");
     return NULL;
   }
   return kg_sweep_seed(&tape->graph, value.id); /* zero when the sweep did not reach it */

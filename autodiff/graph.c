@@ -63,6 +63,7 @@ void kg_graph_release(kg_graph *graph)
   kg_buffer_release(&graph->scalar, graph->allocator);
   kg_buffer_release(&graph->tensor, graph->allocator);
   kg_buffer_release(&graph->pointers, graph->allocator);
+  kg_buffer_release(&graph->given, graph->allocator);
   kg_buffer_release(&graph->scratch, graph->allocator);
   kg_tape_destroy(graph->child);
 }

@@ -18,6 +18,7 @@
 #include "kinegrad/tape.h"
 
 #define KG_TENSOR 0x80000000u
+#define KG_NO_ADJOINTS UINT32_MAX
 
 static inline uint32_t kg_index(uint32_t id)
 {
@@ -94,9 +95,11 @@ struct kg_graph {
   uint32_t stamp;
   int directions;     /* of the last sweep; 0: none */
   uint32_t swept;     /* nodes there were */
+  uint32_t complete;  /* from this node on the adjoints are; KG_NO_ADJOINTS: tangents */
   kg_buffer scalar;   /* (count, directions) doubles */
   kg_buffer tensor;   /* (adjoint_size, directions, lanes) numbers, a block's directions slowest */
   kg_buffer pointers; /* (3, widest) */
+  kg_buffer given;    /* the tangent an intermediate block was seeded with */
   /* primitives (primitive.h) */
   kg_tape *child;     /* where they record; NULL until one does */
   kg_buffer scratch;  /* of the one at work */

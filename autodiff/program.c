@@ -23,7 +23,7 @@ kg_program_info kg_program_describe(const kg_program *program)
   kg_program_info info = program->info;
   info.bytes = sizeof *program + kg_arena_bytes(&program->arena) +
                graph->capacity * sizeof *graph->node + graph->scalar.bytes + graph->tensor.bytes +
-               graph->pointers.bytes + graph->scratch.bytes +
+               graph->pointers.bytes + graph->given.bytes + graph->scratch.bytes +
                (graph->child ? kg_tape_bytes(graph->child) : 0) + program->seed.memory.bytes +
                program->tangent.memory.bytes;
   return info;

@@ -65,6 +65,7 @@ kg_status kg_sweep_begin(kg_graph *graph, int directions)
   ++graph->stamp;
   graph->directions = directions;
   graph->swept = graph->count;
+  graph->complete = KG_NO_ADJOINTS;
   return KG_OK;
 }
 
@@ -227,6 +228,7 @@ static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint
 /* one and two directions get loops of their own */
 void kg_sweep_backward(kg_graph *graph, uint32_t last)
 {
+  graph->complete = last ? last - 1 : 0;
   switch (graph->directions) {
     case 1:
       backward(graph, last, 1);
@@ -275,6 +277,33 @@ static void find_reached(const kg_graph *graph, kg_block *block)
   }
 }
 
+/* An intermediate value was seeded itself: its tangents are put aside, for kernels write. */
+static bool put_aside(kg_graph *graph, const kg_block *block)
+{
+  const size_t bytes = block->size * (size_t)graph->directions * graph->lanes * graph->number;
+  const bool fine = kg_buffer_reserve(&graph->given, graph->allocator, bytes);
+  if (fine) {
+    memcpy(graph->given.memory, block_adjoint(graph, block), bytes);
+  } else {
+    graph->status = KG_ERR_NO_MEMORY;
+  }
+  return fine;
+}
+
+/* ... and added; complex numbers add like twice as many doubles. */
+static void add_given(const kg_graph *graph, size_t start, void *tangent, size_t bytes)
+{
+  const void *given = (const char *)graph->given.memory + start;
+  const size_t number = graph->number == sizeof(float) ? sizeof(float) : sizeof(double);
+  for (size_t i = 0; i < bytes / number; ++i) {
+    if (graph->number == sizeof(float)) {
+      ((float *)tangent)[i] += ((const float *)given)[i];
+    } else {
+      ((double *)tangent)[i] += ((const double *)given)[i];
+    }
+  }
+}
+
 /* Directions in which no operand moves are left alone: of a chain of joints, for instance, each link
  * is moved by few of all angles. */
 static bool forward_block(kg_graph *graph, uint32_t index)
@@ -287,19 +316,22 @@ static bool forward_block(kg_graph *graph, uint32_t index)
     any |= moved[i];
   }
   if (!any) return true;
+  graph->failed = index;
+  const bool seeded = block->stamp == graph->stamp;
+  if (seeded && !put_aside(graph, block)) return false;
   const kg_call call = kg_block_call(graph, block, in);
+  const size_t bytes = block->size * graph->lanes * graph->number;
   block->stamp = graph->stamp;
-  block->reached = any;
+  block->reached = seeded ? ALL : any;
   for (int s = 0; s < graph->directions; ++s) {
     if (!is_reached(any, s)) continue;
     for (int i = 0; i < block->count; ++i) {
       in_tangent[i] = is_reached(moved[i], s) ? tangent_of(graph, block->input[i], s) : NULL;
     }
-    block->kernel->jvp(&call, in_tangent,
-                       (char *)block_adjoint(graph, block) +
-                         (size_t)s * block->size * graph->lanes * graph->number);
+    char *tangent = (char *)block_adjoint(graph, block) + (size_t)s * bytes;
+    block->kernel->jvp(&call, in_tangent, tangent);
+    if (seeded) add_given(graph, (size_t)s * bytes, tangent, bytes);
   }
-  graph->failed = index;
   if (block->size <= FEW) find_reached(graph, block);
   return graph->status == KG_OK;
 }
@@ -309,7 +341,7 @@ static void forward_element(const kg_graph *graph, const kg_node *node, double *
   const uint64_t moved = directions_of(graph, node->input[0]);
   for (int s = 0; moved && s < graph->directions; ++s) {
     if (!is_reached(moved, s)) continue;
-    tangent[s] =
+    tangent[s] +=
       ((const double *)(const void *)tangent_of(graph, node->input[0], s))[node->input[1]];
   }
 }
@@ -328,12 +360,13 @@ static void forward_scalar(kg_graph *graph, const kg_node *node)
   for (size_t s = 0; s < directions; ++s) {
     const double a = first[s] != 0 ? node->partial[0] * first[s] : 0;
     const double b = second[s] != 0 ? node->partial[1] * second[s] : 0;
-    tangent[s] = a + b;
+    tangent[s] += a + b; /* to what it was seeded with */
   }
 }
 
 void kg_sweep_forward(kg_graph *graph, uint32_t first)
 {
+  graph->complete = KG_NO_ADJOINTS;
   for (uint32_t i = first ? first : 1; i < graph->swept; ++i) {
     const kg_node *node = &graph->node[i];
     if (!node->active || (node->op == kg_op_input && !node->is_block)) continue;

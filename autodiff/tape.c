@@ -62,6 +62,7 @@ void kg_tape_rewind(kg_tape *tape, kg_tape_mark mark)
 {
   KG_ASSERT(mark.nodes <= tape->graph.count);
   tape->graph.count = mark.nodes ? mark.nodes : 1;
+  if (tape->graph.swept > tape->graph.count) tape->graph.swept = tape->graph.count;
   tape->graph.adjoint_size = mark.adjoints;
   tape->tag_count = mark.tags;
   kg_arena_rewind(&tape->arena, (kg_arena_mark){mark.block, mark.used});
@@ -78,8 +79,9 @@ size_t kg_tape_bytes(const kg_tape *tape)
 {
   const kg_graph *graph = &tape->graph;
   return sizeof *tape + kg_arena_bytes(&tape->arena) + graph->capacity * sizeof *graph->node +
-         graph->scalar.bytes + graph->tensor.bytes + graph->pointers.bytes + graph->scratch.bytes +
-         tape->tag_capacity * sizeof *tape->tags + (graph->child ? kg_tape_bytes(graph->child) : 0);
+         graph->scalar.bytes + graph->tensor.bytes + graph->pointers.bytes + graph->given.bytes +
+         graph->scratch.bytes + tape->tag_capacity * sizeof *tape->tags +
+         (graph->child ? kg_tape_bytes(graph->child) : 0);
 }
 
 /* -- errors and tags --------------------------------------------------------------------------- */
@@ -209,8 +211,8 @@ bool kg_check_shape(kg_tape *tape, kg_op op, kg_shape shape)
 {
   if (kg_shape_is_valid(shape)) return true;
   kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op),
-            "shape %s of rank %d: ranks 0 to %d, extents from 1", kg_shape_print(shape).text,
-            (int)shape.rank, KG_MAX_RANK);
+            "shape %s of rank %d: ranks 0 to %d, extents from 1, entries that can be counted",
+            kg_shape_print(shape).text, (int)shape.rank, KG_MAX_RANK);
   return false;
 }
 

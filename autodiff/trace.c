@@ -134,7 +134,8 @@ static kg_trace trace_of(const kg_tape *tape, uint32_t index, kg_value to, size_
 kg_trace kg_trace_adjoint(kg_tape *tape)
 {
   const kg_graph *graph = &tape->graph;
-  for (uint32_t i = graph->directions ? graph->swept - 1 : 0; i > 0; --i) {
+  const bool any = graph->directions && graph->complete != KG_NO_ADJOINTS;
+  for (uint32_t i = any ? graph->swept - 1 : 0; i > 0; --i) {
     const kg_node *node = &graph->node[i];
     if (!kg_sweep_result(graph, value_of(graph, i).id)) continue;
     if (bad_adjoint(tape, value_of(graph, i)) != SIZE_MAX) continue;

@@ -591,6 +591,90 @@ static void tapes_in_threads_do_not_meet(void **state)
   }
 }
 
+/* -- adjoints and tangents that are not there, and those of intermediate values ------------------ */
+
+static kg_value chain_of_sines(kg_tape *tape, kg_value x, int length)
+{
+  for (int i = 0; i < length; ++i) {
+    x = kg_sin(tape, x);
+  }
+  return x;
+}
+
+/* values of the old record had these ids; the second has far more numbers than the sweep had room for */
+static void a_rewound_sweep_has_no_adjoints(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_tape_mark empty = kg_tape_mark_of(tape);
+  assert_int_equal(kg_backward(tape, chain_of_sines(tape, kg_scalar(tape, 2), 100)), KG_OK);
+  kg_tape_rewind(tape, empty);
+  kg_scalar(tape, 1);
+  assert_null(kg_trace_adjoint(tape).op);
+  assert_null(kg_adjoint(tape, kg_scalar(tape, 1)));
+  kg_tape_rewind(tape, empty);
+  assert_null(kg_adjoint(tape, kg_input(tape, KG_SHAPE(100000), NULL)));
+  assert_int_equal(kg_tape_status(tape), KG_ERR_UNSUPPORTED);
+  kg_tape_destroy(tape);
+}
+
+static void adjoints_a_sweep_left_out_are_refused(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_value x = kg_scalar(tape, 2), y = kg_square(tape, x), z = kg_mul(tape, y, x);
+  const double one = 1, *const tangent = &one;
+  double result, *const results = &result;
+  assert_int_equal(kg_gradient(tape, z, 1, &y, &results), KG_OK);
+  assert_close(kg_adjoint_item(tape, y), 2, 0);
+  assert_true(isnan(kg_adjoint_item(tape, x))); /* the way through y is missing */
+  kg_tape_rewind(tape, kg_tape_mark_of(tape));
+  assert_int_equal(kg_gradient(tape, z, 1, &x, &results), KG_OK);
+  assert_close(kg_adjoint_item(tape, x), 12, 0);
+  assert_int_equal(kg_jvp(tape, 1, 1, &x, &tangent, 1, &z, &results), KG_OK);
+  assert_null(kg_trace_adjoint(tape).op);
+  assert_null(kg_adjoint(tape, z)); /* a tangent */
+  kg_tape_destroy(tape);
+}
+
+/* z = sin y, y = x^2: dz = cos y (dy + 2 x dx), for dx and dy of two directions */
+static void check_intermediate_tangents(kg_precision precision, kg_value x_of(kg_tape *, double))
+{
+  kg_tape *tape = new_tape(precision);
+  const kg_value x = x_of(tape, 0.75), y = kg_square(tape, x), z = kg_sin(tape, y);
+  const double dx[] = {1, 0}, dy[] = {0.5, 2}, *const tangents[] = {dx, dy};
+  const kg_value both[] = {x, y};
+  double dz[2], dyy[2], *const results[] = {dz, dyy};
+  const kg_value outputs[] = {z, y};
+  const double tolerance = precision == KG_DOUBLE ? 1e-15 : 1e-6;
+  assert_int_equal(kg_jvp(tape, 2, 2, both, tangents, 2, outputs, results), KG_OK);
+  for (int s = 0; s < 2; ++s) {
+    assert_close(dyy[s], dy[s] + 1.5 * dx[s], tolerance);
+    assert_close(dz[s], cos(0.5625) * (dy[s] + 1.5 * dx[s]), tolerance);
+  }
+  assert_int_equal(kg_jvp(tape, 2, 1, &y, &tangents[1], 1, &z, results), KG_OK);
+  assert_close(dz[1], cos(0.5625) * 2, tolerance);
+  kg_tape_destroy(tape);
+}
+
+static kg_value a_scalar(kg_tape *tape, double x)
+{
+  return kg_scalar(tape, x);
+}
+
+static kg_value a_vector(kg_tape *tape, double x)
+{
+  return kg_input(tape, KG_SHAPE(1), &x);
+}
+
+static void intermediate_values_have_tangents_of_their_own(void **state)
+{
+  (void)state;
+  check_intermediate_tangents(KG_DOUBLE, a_scalar);
+  check_intermediate_tangents(KG_DOUBLE, a_vector);
+  check_intermediate_tangents(KG_FLOAT, a_vector);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -609,6 +693,9 @@ int main(void)
     cmocka_unit_test(the_steady_state_allocates_nothing),
     cmocka_unit_test(every_refused_allocation_is_a_status),
     cmocka_unit_test(tapes_in_threads_do_not_meet),
+    cmocka_unit_test(a_rewound_sweep_has_no_adjoints),
+    cmocka_unit_test(adjoints_a_sweep_left_out_are_refused),
+    cmocka_unit_test(intermediate_values_have_tangents_of_their_own),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -16,7 +16,9 @@ extern "C" {
 KG_API kg_status kg_backward(kg_tape *tape, kg_value output);
 
 /* The adjoint found by the last sweep, (size): valid until the next sweep or rewind. NULL, with the
- * tape's error set, for a constant, a value recorded after the sweep, or the other precision. */
+ * tape's error set, for a constant, a value recorded after the sweep, the other precision, and
+ * where the last sweep left no adjoint: it went forward, or backward only to the oldest of the
+ * inputs asked for, and the value is older. After several seeds at once: that of the first. */
 KG_API const double *kg_adjoint(kg_tape *tape, kg_value value);
 KG_API const float *kg_adjoint_f32(kg_tape *tape, kg_value value);
 KG_API double kg_adjoint_item(kg_tape *tape, kg_value value); /* entry 0; NaN on failure */
@@ -33,7 +35,8 @@ KG_API kg_status kg_vjp(kg_tape *tape, int directions, int output_count, const k
                         double *const *results);
 
 /* Several tangents in one forward sweep: results[o] = sum_i (d outputs[o] / d inputs[i])
- * tangents[i]. */
+ * tangents[i]. An input may be an intermediate value: its tangent is added to what the others give
+ * it, so that kg_jvp is the transpose of kg_vjp. */
 KG_API kg_status kg_jvp(kg_tape *tape, int directions, int input_count, const kg_value *inputs,
                         const double *const *tangents, int output_count, const kg_value *outputs,
                         double *const *results);
@@ -55,6 +58,8 @@ KG_API kg_status kg_jacobian_coloured(kg_tape *tape, kg_value output, kg_value i
 
 /* H v = d/dh gradient(x + h v) at h = 0 for the inputs together, exact to rounding: the recorded
  * graph is run again in complex arithmetic at x + i h v with h = 1e-100, forwards and backwards.
+ * Numbers of the computation between 1e-90 |v| and 1e150 are meant: h is to vanish beside the
+ * smallest, and complex divisions square the largest.
  * KG_ERR_UNSUPPORTED names a primitive that has no complex form. */
 KG_API kg_status kg_hessian_product(kg_tape *tape, kg_value output, int count,
                                     const kg_value *inputs, const double *const *vectors,

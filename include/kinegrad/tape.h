@@ -17,7 +17,8 @@
  * Errors. An operator that fails returns the null value, and a null operand makes the null
  * value, so a formula may be written out and checked once: kg_tape_status holds the first
  * failure, kg_tape_error its text, which names the operator, the tag in force and the shapes.
- * Every call that returns a kg_status reports it too. kg_tape_rewind clears it.
+ * Every call that returns a kg_status reports it too. kg_tape_rewind clears it. An operand that was
+ * rewound or belongs to another tape is a mistake of the caller's that is not looked for.
  *
  * Memory. Values live until the tape is rewound past them or destroyed. Rewinding keeps the
  * memory: a loop that rewinds and records the same sizes again allocates nothing after its first
