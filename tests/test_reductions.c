@@ -393,6 +393,7 @@ static void norms_of_infinities(void **state)
   const kg_value y = kg_norm(tape, kg_input(tape, KG_SHAPE(2, 3), x), 1);
   assert_true(kg_item_at(tape, y, 0) == INFINITY);
   assert_true(isnan(kg_item_at(tape, y, 1)));
+  assert_true(isnan(kg_item(tape, kg_normalize(tape, kg_input(tape, KG_SHAPE(3), x)))));
   kg_tape_destroy(tape);
 }
 
