@@ -12,7 +12,8 @@
 static kg_value push_grown(kg_tape *tape, kg_op op, kg_value a, kg_value b, double y, double by_a,
                            double by_b) __attribute__((noinline));
 
-/* The shortest path: everything that calls a function is elsewhere, so that nothing is saved or restored. */
+/* The shortest path: everything that calls a function is elsewhere, so that nothing is saved or
+ * restored. */
 static inline kg_value push_scalar(kg_tape *tape, kg_op op, kg_value a, kg_value b, double y,
                                    double by_a, double by_b)
 {

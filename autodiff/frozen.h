@@ -8,8 +8,8 @@
 #include "autodiff/graph.h"
 #include "kinegrad/program.h"
 
-/* Numbers the user writes before a sweep, for all outputs (seeds) or all inputs (tangents): those of
- * value i start at at[i] entries, each entry being (directions, lanes). */
+/* Numbers the user writes before a sweep, for all outputs (seeds) or all inputs (tangents): those
+ * of value i start at at[i] entries, each entry being (directions, lanes). */
 typedef struct kg_port {
   kg_buffer memory;
   size_t *at;  /* (count + 1) */

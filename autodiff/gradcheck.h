@@ -5,8 +5,8 @@
 #include "autodiff/oplist.h"
 #include "kinegrad/gradcheck.h"
 
-/* What a recorded function is compared with: complex steps of `reference`, which must have its values too, at the
- * point `at`; NULL: a derivative of zero. */
+/* What a recorded function is compared with: complex steps of `reference`, which must have its
+ * values too, at the point `at`; NULL: a derivative of zero. */
 typedef struct kg_gradcheck_truth {
   kg_recorded reference;
   const double *at;

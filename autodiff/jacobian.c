@@ -1,7 +1,7 @@
 /* Jacobians, dense and by coloured columns, and products with the Hessian.
  *
- * A Jacobian is taken a few columns (forward) or rows (backward) at a time, so that the memory of the
- * sweep does not grow with it. */
+ * A Jacobian is taken a few columns (forward) or rows (backward) at a time, so that the memory of
+ * the sweep does not grow with it. */
 #include "autodiff/frozen.h"
 #include "autodiff/tape.h"
 

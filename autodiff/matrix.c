@@ -32,7 +32,8 @@ static kg_value refuse_shapes(kg_tape *tape, kg_op op, kg_shape a, kg_shape b, c
 /* -- products ---------------------------------------------------------------------------------- */
 
 /* Many rows times one small matrix: in blocks of rows that stay in the nearest cache while bias,
- * product and its adjoints pass over them. Where the number of rows allows no such block, in one. */
+ * product and its adjoints pass over them. Where the number of rows allows no such block, in
+ * one. */
 static void divide_rows(kg_product *p)
 {
   enum { SMALL = 8192, FEWEST = 32, MOST = 96 };

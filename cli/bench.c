@@ -22,7 +22,7 @@ typedef struct bench_values {
 } bench_values;
 
 /* A run over the cases that were chosen. */
-typedef struct session {
+typedef struct bench_run {
   const kg_bench_suite *suite; /* NULL: all of them */
   const bench_values *values;
   kg_bench_setting setting;
@@ -31,14 +31,14 @@ typedef struct session {
   json_t *cases;
   int done, count;
   bool agrees;
-} session;
+} bench_run;
 
 /* ---- which cases ----------------------------------------------------------------------------- */
 
-typedef int visit_fn(session *s, const kg_bench_case *of);
+typedef int visit_fn(bench_run *s, const kg_bench_case *of);
 
 /* Calls visit for each chosen case until one does not return CLI_GOOD. */
-static int each_case(session *s, visit_fn *visit)
+static int each_case(bench_run *s, visit_fn *visit)
 {
   int code = CLI_GOOD;
   for (int i = 0; i < kg_bench_suite_count; i++) {
@@ -54,7 +54,7 @@ static int each_case(session *s, visit_fn *visit)
   return code;
 }
 
-static int count_case(session *s, const kg_bench_case *of)
+static int count_case(bench_run *s, const kg_bench_case *of)
 {
   (void)of;
   s->count++;
@@ -92,7 +92,7 @@ static void print_processor(FILE *out)
   fprintf(out, "processor    %s", is_found ? strchr(line, ':') + 2 : "not told by the system\n");
 }
 
-static void print_head(const session *s)
+static void print_head(const bench_run *s)
 {
   print_processor(s->table);
   for (int i = 0; kg_bench_build[i]; i++) {
@@ -208,7 +208,7 @@ static void add_pair(json_t *cases, const kg_bench_result *result, int k)
 
 /* ---- the run --------------------------------------------------------------------------------- */
 
-static int run_case(session *s, const kg_bench_case *of)
+static int run_case(bench_run *s, const kg_bench_case *of)
 {
   if (!cli_progress_update((double)s->done / s->count, of->name, &s->progress)) {
     cli_progress_clear();
@@ -229,7 +229,7 @@ static int run_case(session *s, const kg_bench_case *of)
   return CLI_GOOD;
 }
 
-static int write_report(const session *s, cli_output *json, FILE *out)
+static int write_report(const bench_run *s, cli_output *json, FILE *out)
 {
   json_t *root = cli_json_report("bench");
   json_object_set(root, "cases", s->cases);
@@ -239,7 +239,7 @@ static int write_report(const session *s, cli_output *json, FILE *out)
 }
 
 /* All chosen cases, then the report. */
-static int run_session(session *s, cli_output *json, FILE *out)
+static int run_suite(bench_run *s, cli_output *json, FILE *out)
 {
   print_head(s);
   int code = each_case(s, run_case);
@@ -262,7 +262,7 @@ static const char *data_folder(const bench_values *values)
   return access(DEFAULT_FOLDER, R_OK) == 0 ? DEFAULT_FOLDER : NULL;
 }
 
-static int prepare(session *s, const cli_operands *operands, cli_output **json)
+static int prepare(bench_run *s, const cli_operands *operands, cli_output **json)
 {
   if (operands->count > 0 && find_suite(&s->suite, operands->at[0]) != CLI_GOOD) {
     return CLI_USAGE;
@@ -278,7 +278,7 @@ static int prepare(session *s, const cli_operands *operands, cli_output **json)
 static int run(const void *values_given, const cli_operands *operands, FILE *out)
 {
   const bench_values *values = values_given;
-  session s = {.values = values, .agrees = true};
+  bench_run s = {.values = values, .agrees = true};
   s.setting = (kg_bench_setting){.data_folder = data_folder(values), .rounds = values->rounds};
   cli_output *json = NULL;
   int code = prepare(&s, operands, &json);
@@ -288,7 +288,7 @@ static int run(const void *values_given, const cli_operands *operands, FILE *out
   s.progress = cli_progress_start((cli_progress_style)values->talk.progress, values->talk.quiet, 0);
   s.cases = json_array();
   s.table = cli_json_is_stdout(values->json) ? fopen("/dev/null", "w") : out;
-  code = s.table ? run_session(&s, json, out) : cli_failed_status(KG_ERR_WRITE, "/dev/null");
+  code = s.table ? run_suite(&s, json, out) : cli_failed_status(KG_ERR_WRITE, "/dev/null");
   if (s.table && s.table != out) {
     fclose(s.table);
   }

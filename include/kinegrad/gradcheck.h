@@ -7,14 +7,15 @@
  *   dot test         <w, J d> = <J' w, d>
  *   repeatability    a second and a third call return the same bits, other points in between
  *
- * How an entry is judged. Its error is put over the largest entry of J. Where the differences resolve more, it
- * is put over the entry itself: in 1e8 x_0 + sin x_1 the wrong sign of the small entry is found. Entries that
- * would change f by less than 1e-5 of itself (1e-2 with a complex step) over max(1, |x_j|) count as that large.
- * A numerical derivative whose own error is larger than the tolerance decides nothing (f is noisy, or its second
- * derivative jumps nearby): that is not a pass, and the row says "undecided".
+ * How an entry is judged. Its error is put over the largest entry of J. Where the differences
+ * resolve more, it is put over the entry itself: in 1e8 x_0 + sin x_1 the wrong sign of the small
+ * entry is found. Entries that would change f by less than 1e-5 of itself (1e-2 with a complex
+ * step) over max(1, |x_j|) count as that large. A numerical derivative whose own error is larger
+ * than the tolerance decides nothing (f is noisy, or its second derivative jumps nearby): that is
+ * not a pass, and the row says "undecided".
  *
- * [Ridders] C. J. F. Ridders, Accurate computation of F'(x) and F'(x) F''(x), Advances in Engineering
- * Software 4 (1982). [CS] W. Squire, G. Trapp, SIAM Review 40 (1998). */
+ * [Ridders] C. J. F. Ridders, Accurate computation of F'(x) and F'(x) F''(x), Advances in
+ * Engineering Software 4 (1982). [CS] W. Squire, G. Trapp, SIAM Review 40 (1998). */
 #ifndef KINEGRAD_GRADCHECK_H
 #define KINEGRAD_GRADCHECK_H
 
@@ -73,8 +74,9 @@ typedef struct kg_gradcheck_report {
   bool repeatable;
 } kg_gradcheck_report;
 
-/* KG_OK when the check could be made, whatever its answer; a failure of the function itself at x is returned. Steps
- * to points where it is undefined (KG_ERR_UNDEFINED or not finite) are made smaller. */
+/* KG_OK when the check could be made, whatever its answer; a failure of the function itself at x is
+ * returned. Steps to points where it is undefined (KG_ERR_UNDEFINED or not finite) are made
+ * smaller. */
 KG_API kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
                               const kg_gradcheck_def *def, kg_gradcheck_report *report,
                               kg_error *error);
@@ -82,18 +84,20 @@ KG_API kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, v
                                        kg_shape shape, const double *x, const kg_gradcheck_def *def,
                                        kg_gradcheck_report *report, kg_error *error);
 
-/* Adds what another point showed: *worst keeps the larger error with its place, the larger dot test, the lower order. */
+/* Adds what another point showed: *worst keeps the larger error with its place, the larger dot
+ * test, the lower order. */
 KG_API void kg_gradcheck_merge(kg_gradcheck_report *worst, const kg_gradcheck_report *report);
 
-/* One line of a table for a terminal, without newline; report == NULL: the heading. Returns the length as
- * snprintf. */
+/* One line of a table for a terminal, without newline; report == NULL: the heading. Returns the
+ * length as snprintf. */
 KG_API int kg_gradcheck_row(const kg_gradcheck_report *report, char *text, size_t size);
 
-/* -- the registry: every operator and kind of primitive, with its sample points ------------------- */
+/* -- the registry: every operator and kind of primitive, with its sample points ---------------- */
 
 KG_API int kg_registry_count(void);
 KG_API const char *kg_registry_name(int i);
-/* Checks entry i at `points` random points of its domain and beside its kinks; the worst is reported. */
+/* Checks entry i at `points` random points of its domain and beside its kinks; the worst is
+ * reported. */
 KG_API kg_status kg_registry_check(int i, int points, const kg_gradcheck_def *def,
                                    kg_gradcheck_report *report, kg_error *error);
 

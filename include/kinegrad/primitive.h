@@ -64,8 +64,8 @@ typedef struct kg_primitive {
 KG_API kg_value kg_apply(kg_tape *tape, const kg_primitive *primitive, int count,
                          const kg_value *operands);
 
-/* Implicit primitives, differentiated solvers and checkpoints go through complex steps by their JVP;
- * Hessian products through them are refused by name. */
+/* Implicit primitives, differentiated solvers and checkpoints go through complex steps by their
+ * JVP; Hessian products through them are refused by name. */
 
 /* -- implicit primitives ----------------------------------------------------------------------- */
 

@@ -8,9 +8,10 @@
  * `lanes` numbers, (entry, lane) with the lane fastest, so scalar formulas run at vector speed.
  * lanes = 1 is plain row-major data.
  *
- * Choices. min, max, clamp, where and the like choose anew on every run. An `if` of the recording code
- * (kg_is_less) cannot: when a run's inputs turn one around, kg_program_run returns KG_ERR_STALE, and
- * kg_program_error names the operands' operator, the tag and the lane. The outputs are then not to be used.
+ * Choices. min, max, clamp, where and the like choose anew on every run. An `if` of the recording
+ * code (kg_is_less) cannot: when a run's inputs turn one around, kg_program_run returns
+ * KG_ERR_STALE, and kg_program_error names the operands' operator, the tag and the lane. The
+ * outputs are then not to be used.
  *
  * A program does not refer to its tape once made. Not shared between threads: one copy for each. */
 #ifndef KINEGRAD_PROGRAM_H
@@ -53,8 +54,9 @@ typedef struct kg_program_info {
 } kg_program_info;
 KG_API kg_program_info kg_program_describe(const kg_program *program);
 
-/* Where to write input i before a run: (size, lanes) numbers of the program's kind (double; float of a
- * float tape; double complex if asked). Starts with the recorded numbers in every lane. Owned by the program. */
+/* Where to write input i before a run: (size, lanes) numbers of the program's kind (double; float
+ * of a float tape; double complex if asked). Starts with the recorded numbers in every lane. Owned
+ * by the program. */
 KG_API void *kg_program_input(kg_program *program, int i);
 /* Output o after a run, (size, lanes). */
 KG_API const void *kg_program_output(const kg_program *program, int o);
