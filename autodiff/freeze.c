@@ -19,7 +19,7 @@
 typedef struct trait {
   uint32_t same; /* tape index; 0: none found yet */
   uint32_t at;   /* index in the program; 0: not there */
-  bool is_input, varying, needed, held;
+  bool is_input, varying, needed, held, is_run;
 } trait;
 
 typedef struct freezer {
@@ -289,7 +289,8 @@ static bool add(freezer *f, uint32_t index)
     block->data = numbers(p, block->size);
     block->saved = numbers(p, block->saved_size);
     if (kg_arena_failed(&p->arena)) return false;
-    if (!fixed) p->run[p->info.run++] = p->graph.count;
+    t->is_run = !fixed;
+    p->info.run += !fixed;
   }
   if (fixed) fill(f, &from, block);
   if (from.count > p->graph.widest) p->graph.widest = from.count;
@@ -316,6 +317,43 @@ static bool add_all(freezer *f, int input_count, const kg_value *inputs)
     if (t->held && t->varying && !t->is_input) fine = add(f, i);
   }
   return fine;
+}
+
+/* What the kernels of a node made from tape node `index` are called with. */
+static bool prepare_step(freezer *f, uint32_t index)
+{
+  kg_program *p = f->program;
+  const trait *t = &f->trait[index];
+  kg_node *node = &p->graph.node[t->at];
+  const kg_block *block = node->is.block;
+  const void **in = KG_ARENA_ARRAY(&p->arena, const void *, block->count);
+  kg_step step = {.kernel = block->kernel,
+                  .block = node->is.block,
+                  .operand = KG_ARENA_ARRAY(&p->arena, kg_block *, block->count),
+                  .node = t->at,
+                  .is_run = t->is_run,
+                  .active = node->active};
+  if (kg_arena_failed(&p->arena)) return false;
+  step.call = kg_block_call(&p->graph, block, in);
+  for (int k = 0; k < block->count; ++k) {
+    const kg_node *operand = &p->graph.node[kg_index(block->input[k])];
+    step.operand[k] = operand->active ? operand->is.block : NULL;
+  }
+  p->step[p->step_count++] = step;
+  return true;
+}
+
+/* once all nodes are there */
+static bool prepare_steps(freezer *f)
+{
+  kg_program *p = f->program;
+  bool fine = true;
+  p->step = KG_ARENA_ARRAY(&p->arena, kg_step, p->graph.count);
+  for (uint32_t i = 1; i < f->tape->graph.count && fine && p->step; ++i) {
+    const trait *t = &f->trait[i];
+    if (t->at && t->varying && !t->is_input) fine = prepare_step(f, i);
+  }
+  return fine && p->step;
 }
 
 /* -- places of the adjoints -------------------------------------------------------------------- */
@@ -463,7 +501,6 @@ static bool begin(freezer *f, int input_count, const kg_value *inputs, int outpu
   f->table = KG_ARENA_ARRAY(&f->scratch, uint32_t, f->slots);
   p->input = KG_ARENA_ARRAY(&p->arena, uint32_t, input_count);
   p->output = KG_ARENA_ARRAY(&p->arena, uint32_t, output_count);
-  p->run = KG_ARENA_ARRAY(&p->arena, uint32_t, count);
   p->tag = KG_ARENA_ARRAY(&p->arena, const char *, count);
   if (kg_arena_failed(&f->scratch) || kg_arena_failed(&p->arena)) return false;
   for (int i = 0; i < input_count; ++i) {
@@ -504,9 +541,9 @@ static kg_status freeze(freezer *f, int input_count, const kg_value *inputs, int
     p->output[o] = place_of(f, outputs[o].id) | KG_TENSOR;
   }
   count_fates(f);
-  const bool fine = plan_adjoints(f) && begin_port(p, &p->seed, output_count, p->output) &&
-                    begin_port(p, &p->tangent, input_count, p->input) &&
-                    kg_graph_reserve_pointers(&p->graph);
+  const bool fine =
+    prepare_steps(f) && plan_adjoints(f) && begin_port(p, &p->seed, output_count, p->output) &&
+    begin_port(p, &p->tangent, input_count, p->input) && kg_graph_reserve_pointers(&p->graph);
   return fine ? KG_OK : KG_ERR_NO_MEMORY;
 }
 

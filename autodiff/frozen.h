@@ -17,14 +17,26 @@ typedef struct kg_port {
   int count, directions;
 } kg_port;
 
+/* An operator with everything its kernels are called with. */
+typedef struct kg_step {
+  kg_call call;
+  const kg_kernel *kernel;
+  kg_block *block;
+  kg_block **operand; /* (call.count) NULL: without adjoint */
+  uint32_t node;
+  bool is_run; /* its numbers are its own; else another node's (values shared, reshape) */
+  bool active;
+} kg_step;
+
 struct kg_program {
   kg_graph graph;
   kg_arena arena; /* blocks and their numbers */
   kg_arithmetic arithmetic;
   kg_program_info info;
   uint32_t *input, *output; /* ids */
-  uint32_t *run;            /* (info.run) nodes evaluated by a run, in order */
   const char **tag;         /* (graph.count) the user's tags, copied; NULL without */
+  kg_step *step;            /* (step_count) in recorded order */
+  size_t step_count;
   kg_port seed, tangent;
   bool ran; /* the last run succeeded */
   kg_error error;

@@ -17,8 +17,11 @@
 #include "kinegrad/arena.h"
 #include "kinegrad/tape.h"
 
+#include <string.h>
+
 #define KG_TENSOR 0x80000000u
 #define KG_NO_ADJOINTS UINT32_MAX
+#define KG_ALL UINT64_MAX /* directions */
 
 static inline uint32_t kg_index(uint32_t id)
 {
@@ -59,7 +62,7 @@ typedef struct kg_block {
   size_t saved_size; /* entries */
   void *data;
   void *saved;
-  size_t adjoint; /* first entry in the sweep's memory, per direction and lane */
+  size_t adjoint;   /* first entry in the sweep's memory, per direction and lane */
   uint32_t stamp;   /* of the last sweep that reached it */
   uint64_t reached; /* directions of it, modulo 64, in which the adjoint or tangent was written */
 } kg_block;
@@ -124,7 +127,6 @@ static inline const void *kg_node_data(const kg_graph *graph, uint32_t id)
   return id & KG_TENSOR ? node->is.block->data : (const void *)&node->is.value;
 }
 
-
 /* "matmul"; of a primitive its own name. attributes: of a block. */
 const char *kg_operator_name(kg_op op, const void *attributes);
 const char *kg_node_name(const kg_node *node);
@@ -143,6 +145,18 @@ kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node);
 
 /* Starts a backward or forward sweep of so many directions: all adjoints (tangents) are zero. */
 kg_status kg_sweep_begin(kg_graph *graph, int directions);
+/* The adjoint of an active block, made zero when it was untouched; entry: bytes of one entry, of all
+ * directions and lanes. */
+static inline void *kg_sweep_touch(const kg_graph *graph, kg_block *block, size_t entry)
+{
+  void *adjoint = (char *)graph->tensor.memory + block->adjoint * entry;
+  if (block->stamp != graph->stamp) {
+    block->stamp = graph->stamp;
+    block->reached = KG_ALL;
+    memset(adjoint, 0, block->size * entry);
+  }
+  return adjoint;
+}
 /* The adjoint or tangent of a value, (directions, size, lanes), made zero when it was untouched;
  * NULL for a constant. */
 void *kg_sweep_seed(kg_graph *graph, uint32_t id);

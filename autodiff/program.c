@@ -105,10 +105,10 @@ kg_status kg_program_run(kg_program *program)
 {
   kg_graph *graph = &program->graph;
   program->ran = false;
-  for (size_t i = 0; i < program->info.run; ++i) {
-    const uint32_t index = program->run[i];
-    const kg_status status = kg_graph_evaluate(graph, &graph->node[index]);
-    if (status != KG_OK) return fail_at(program, index, status);
+  graph->detail = NULL;
+  for (const kg_step *step = program->step; step < program->step + program->step_count; ++step) {
+    const kg_status status = step->is_run ? step->kernel->forward(&step->call) : KG_OK;
+    if (status != KG_OK) return fail_at(program, step->node, status);
   }
   program->ran = true;
   return KG_OK;
@@ -198,12 +198,43 @@ static kg_status finish_sweep(kg_program *program)
   return graph->status == KG_OK ? KG_OK : fail_at(program, graph->failed, graph->status);
 }
 
+/* The sweep of sweep.c with its calls prepared; entry: bytes of one, of all directions and lanes. */
+static void step_back(const kg_program *program, const kg_step *step, int directions, size_t entry)
+{
+  void **in_adjoint = program->graph.pointers.memory;
+  const size_t row = program->graph.lanes * program->graph.number;
+  const char *adjoint = (char *)program->graph.tensor.memory + step->block->adjoint * entry;
+  for (int k = 0; k < step->call.count; ++k) {
+    kg_block *operand = step->operand[k];
+    in_adjoint[k] = operand ? kg_sweep_touch(&program->graph, operand, entry) : NULL;
+  }
+  for (int s = 0; s < directions; ++s) {
+    step->kernel->vjp(&step->call, adjoint, in_adjoint);
+    adjoint += step->block->size * row;
+    for (int k = 0; s + 1 < directions && k < step->call.count; ++k) {
+      if (in_adjoint[k]) in_adjoint[k] = (char *)in_adjoint[k] + step->operand[k]->size * row;
+    }
+  }
+}
+
+static void sweep_back(kg_program *program, int directions)
+{
+  kg_graph *graph = &program->graph;
+  const size_t entry = entry_bytes(program, directions);
+  for (size_t i = program->step_count; i > 0 && graph->status == KG_OK; --i) {
+    const kg_step *step = &program->step[i - 1];
+    if (!step->active || step->block->stamp != graph->stamp) continue;
+    graph->failed = step->node;
+    step_back(program, step, directions, entry);
+  }
+}
+
 kg_status kg_program_backward(kg_program *program, int directions)
 {
   const kg_status status =
     begin_sweep(program, &program->seed, program->output, "backward", directions);
   if (status != KG_OK) return status;
-  kg_sweep_backward(&program->graph, 1);
+  sweep_back(program, directions);
   for (int i = 0; i < program->info.inputs; ++i) {
     kg_sweep_seed(&program->graph, program->input[i]); /* zero where no seed led to */
   }

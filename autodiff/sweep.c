@@ -9,8 +9,6 @@
 
 #include <string.h>
 
-#define ALL UINT64_MAX /* directions */
-
 enum {
   FEW = 4, /* entries whose tangents are worth a look */
   FAR = 64,
@@ -83,11 +81,11 @@ static inline bool is_reached(uint64_t reached, int direction)
 static void clear_unreached(const kg_graph *graph, kg_block *block)
 {
   const size_t bytes = block->size * graph->lanes * graph->number;
-  for (int s = 0; block->reached != ALL && s < graph->directions; ++s) {
+  for (int s = 0; block->reached != KG_ALL && s < graph->directions; ++s) {
     if (is_reached(block->reached, s)) continue;
     memset((char *)block_adjoint(graph, block) + (size_t)s * bytes, 0, bytes);
   }
-  block->reached = ALL;
+  block->reached = KG_ALL;
 }
 
 void *kg_sweep_seed(kg_graph *graph, uint32_t id)
@@ -97,14 +95,8 @@ void *kg_sweep_seed(kg_graph *graph, uint32_t id)
   if (!(id & KG_TENSOR)) {
     return kg_scalar_adjoint(graph, id);
   }
-  kg_block *block = node->is.block;
-  void *adjoint = block_adjoint(graph, block);
-  if (block->stamp != graph->stamp) {
-    block->stamp = graph->stamp;
-    block->reached = ALL;
-    memset(adjoint, 0, block->size * (size_t)graph->directions * graph->lanes * graph->number);
-  }
-  return adjoint;
+  return kg_sweep_touch(graph, node->is.block,
+                        (size_t)graph->directions * graph->lanes * graph->number);
 }
 
 void *kg_sweep_result(const kg_graph *graph, uint32_t id)
