@@ -332,7 +332,8 @@ static bool prepare_step(freezer *f, uint32_t index)
                   .operand = KG_ARENA_ARRAY(&p->arena, kg_block *, block->count),
                   .node = t->at,
                   .is_run = t->is_run,
-                  .active = node->active};
+                  .active = node->active,
+                  .writes = kg_writes_adjoints(node)};
   if (kg_arena_failed(&p->arena)) return false;
   step.call = kg_block_call(&p->graph, block, in);
   for (int k = 0; k < block->count; ++k) {

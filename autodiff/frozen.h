@@ -26,6 +26,7 @@ typedef struct kg_step {
   uint32_t node;
   bool is_run; /* its numbers are its own; else another node's (values shared, reshape) */
   bool active;
+  bool writes; /* kg_writes_adjoints */
 } kg_step;
 
 struct kg_program {

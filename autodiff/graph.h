@@ -40,6 +40,7 @@ typedef struct kg_call {
   void *out;
   void *saved;     /* numbers kept from forward for the other two, and their scratch */
   kg_graph *graph; /* for primitives, which need more: its arithmetic, scratch, child */
+  unsigned fresh;  /* vjp: bit i: in_adjoint[i] is to be written, not added to */
 } kg_call;
 
 typedef struct kg_kernel {
@@ -145,18 +146,24 @@ kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node);
 
 /* Starts a backward or forward sweep of so many directions: all adjoints (tangents) are zero. */
 kg_status kg_sweep_begin(kg_graph *graph, int directions);
-/* The adjoint of an active block, made zero when it was untouched; entry: bytes of one entry, of all
- * directions and lanes. */
-static inline void *kg_sweep_touch(const kg_graph *graph, kg_block *block, size_t entry)
+/* The adjoint of an active block; entry: bytes of one entry, of all directions and lanes. One that was
+ * untouched is made zero, or left as it is, *fresh saying so, when fresh is given. */
+static inline void *kg_sweep_touch(const kg_graph *graph, kg_block *block, size_t entry,
+                                   bool *fresh)
 {
   void *adjoint = (char *)graph->tensor.memory + block->adjoint * entry;
-  if (block->stamp != graph->stamp) {
-    block->stamp = graph->stamp;
-    block->reached = KG_ALL;
+  if (block->stamp == graph->stamp) return adjoint;
+  block->stamp = graph->stamp;
+  block->reached = KG_ALL;
+  if (fresh) {
+    *fresh = true;
+  } else {
     memset(adjoint, 0, block->size * entry);
   }
   return adjoint;
 }
+/* True when the node's vjp heeds kg_call's fresh: element-wise operators of operands of one shape. */
+bool kg_writes_adjoints(const kg_node *node);
 /* The adjoint or tangent of a value, (directions, size, lanes), made zero when it was untouched;
  * NULL for a constant. */
 void *kg_sweep_seed(kg_graph *graph, uint32_t id);

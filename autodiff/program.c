@@ -199,14 +199,17 @@ static kg_status finish_sweep(kg_program *program)
 }
 
 /* The sweep of sweep.c with its calls prepared; entry: bytes of one, of all directions and lanes. */
-static void step_back(const kg_program *program, const kg_step *step, int directions, size_t entry)
+static void step_back(const kg_program *program, kg_step *step, int directions, size_t entry)
 {
   void **in_adjoint = program->graph.pointers.memory;
   const size_t row = program->graph.lanes * program->graph.number;
   const char *adjoint = (char *)program->graph.tensor.memory + step->block->adjoint * entry;
+  step->call.fresh = 0;
   for (int k = 0; k < step->call.count; ++k) {
     kg_block *operand = step->operand[k];
-    in_adjoint[k] = operand ? kg_sweep_touch(&program->graph, operand, entry) : NULL;
+    bool fresh = false, *wants_fresh = step->writes ? &fresh : NULL;
+    in_adjoint[k] = operand ? kg_sweep_touch(&program->graph, operand, entry, wants_fresh) : NULL;
+    step->call.fresh |= (unsigned)fresh << k;
   }
   for (int s = 0; s < directions; ++s) {
     step->kernel->vjp(&step->call, adjoint, in_adjoint);
@@ -222,7 +225,7 @@ static void sweep_back(kg_program *program, int directions)
   kg_graph *graph = &program->graph;
   const size_t entry = entry_bytes(program, directions);
   for (size_t i = program->step_count; i > 0 && graph->status == KG_OK; --i) {
-    const kg_step *step = &program->step[i - 1];
+    kg_step *step = &program->step[i - 1];
     if (!step->active || step->block->stamp != graph->stamp) continue;
     graph->failed = step->node;
     step_back(program, step, directions, entry);

@@ -5,7 +5,7 @@
  *   forward    tangent(node) = sum p tangent(operand)
  * Adjoints of blocks become zero when something first touches them, so parts of the graph that
  * the seeds do not reach cost nothing. A zero adjoint adds nothing, whatever the partial. */
-#include "autodiff/graph.h"
+#include "autodiff/attributes.h"
 
 #include <string.h>
 
@@ -96,7 +96,7 @@ void *kg_sweep_seed(kg_graph *graph, uint32_t id)
     return kg_scalar_adjoint(graph, id);
   }
   return kg_sweep_touch(graph, node->is.block,
-                        (size_t)graph->directions * graph->lanes * graph->number);
+                        (size_t)graph->directions * graph->lanes * graph->number, NULL);
 }
 
 void *kg_sweep_result(const kg_graph *graph, uint32_t id)
@@ -133,6 +133,24 @@ static inline __attribute__((always_inline)) void fetch(const kg_graph *graph, c
   }
 }
 
+bool kg_writes_adjoints(const kg_node *node)
+{
+  if (node->op < kg_op_neg || node->op > kg_op_max) return false;
+  return node->is.block->attribute_bytes == KG_FLAT_BYTES;
+}
+
+/* adjoint of operand i; its bit in *fresh, when that is given, says that nothing was written there yet */
+static void *touch(kg_graph *graph, uint32_t id, unsigned *fresh, int i)
+{
+  const kg_node *node = &graph->node[kg_index(id)];
+  if (!fresh || !node->active || !(id & KG_TENSOR)) return kg_sweep_seed(graph, id);
+  const size_t entry = (size_t)graph->directions * graph->lanes * graph->number;
+  bool untouched = false;
+  void *adjoint = kg_sweep_touch(graph, node->is.block, entry, &untouched);
+  *fresh |= (unsigned)untouched << i;
+  return adjoint;
+}
+
 static void backward_block(kg_graph *graph, const kg_node *node)
 {
   const kg_block *block = node->is.block;
@@ -140,11 +158,12 @@ static void backward_block(kg_graph *graph, const kg_node *node)
   if (!node->active || block->stamp != graph->stamp || !block->count) return;
   const void **in = graph->pointers.memory;
   void **in_adjoint = (void **)(in + graph->widest + 1);
-  const kg_call call = kg_block_call(graph, block, in);
+  kg_call call = kg_block_call(graph, block, in);
   const char *adjoint = block_adjoint(graph, block);
   const size_t stride = block->size * graph->lanes * graph->number;
+  const bool writes = kg_writes_adjoints(node);
   for (int i = 0; i < block->count; ++i) {
-    in_adjoint[i] = kg_sweep_seed(graph, block->input[i]);
+    in_adjoint[i] = touch(graph, block->input[i], writes ? &call.fresh : NULL, i);
   }
   for (int s = 0; s < graph->directions; ++s) {
     block->kernel->vjp(&call, adjoint + (size_t)s * stride, in_adjoint);

@@ -232,7 +232,7 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
   }
   const kg_kernel *kernel = &graph->kernels[node->op];
   const double tolerance = 1e-14 * sqrt((double)terms);
-  kg_call call = {block->attributes, m, LANES, block->count, in, out, saved, NULL};
+  kg_call call = {block->attributes, m, LANES, block->count, in, out, saved, NULL, 0};
   for (int k = 0; k < block->count; ++k) {
     in[k] = wide[k];
   }
@@ -240,7 +240,7 @@ static inline void check_lanes(const kg_tape *tape, kg_value output, kg_random *
   kernel->vjp(&call, w, (void *const *)wide_adjoint);
   kernel->jvp(&call, (const void *const *)wide_tangent, t);
   for (size_t lane = 0; lane < LANES; ++lane) {
-    kg_call single = {block->attributes, m, 1, block->count, in, out_one, saved, NULL};
+    kg_call single = {block->attributes, m, 1, block->count, in, out_one, saved, NULL, 0};
     for (int k = 0; k < block->count; ++k) {
       for (size_t e = 0; e < n[k]; ++e) {
         one[k][e] = wide[k][e * LANES + lane];
