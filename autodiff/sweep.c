@@ -333,7 +333,7 @@ static bool forward_block(kg_graph *graph, uint32_t index)
   const kg_call call = kg_block_call(graph, block, in);
   const size_t bytes = block->size * graph->lanes * graph->number;
   block->stamp = graph->stamp;
-  block->reached = seeded ? ALL : any;
+  block->reached = seeded ? KG_ALL : any;
   for (int s = 0; s < graph->directions; ++s) {
     if (!is_reached(any, s)) continue;
     for (int i = 0; i < block->count; ++i) {

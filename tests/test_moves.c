@@ -239,7 +239,7 @@ static void element_of_a_tensor_in_lanes(void **state)
   const float in[12] = {0, 0, 0, 0, 0, 0, 0, 0, 5, 6}, adjoint[2] = {7, 8};
   const float expected[12] = {0, 0, 0, 0, 0, 0, 0, 0, 7, 8};
   float out[2], in_adjoint[12] = {0};
-  const kg_call call = {block->attributes, 1, 2, 1, (const void *[]){in}, out, NULL, NULL};
+  const kg_call call = {block->attributes, 1, 2, 1, (const void *[]){in}, out, NULL, NULL, 0};
   assert_int_equal(block->kernel->forward(&call), KG_OK);
   assert_memory_equal(out, in + 8, sizeof out);
   block->kernel->vjp(&call, adjoint, (void *[]){in_adjoint});

@@ -184,7 +184,7 @@ static void lanes_are_called_one_by_one(void **state)
   double out[2 * LANES], saved[2 * LANES], in_adjoint[3][LANES] = {{10, 20, 30}};
   const void *operands[3] = {in[0], in[1], in[2]};
   void *sums[3] = {in_adjoint[0], in_adjoint[1], NULL};
-  const kg_call call = {block->attributes, 2, LANES, 3, operands, out, saved, &tape->graph};
+  const kg_call call = {block->attributes, 2, LANES, 3, operands, out, saved, &tape->graph, 0};
   assert_int_equal(block->kernel->forward(&call), KG_OK);
   block->kernel->vjp(&call, seed, sums);
   double tangent[2 * LANES] = {7, 7, 7, 7, 7, 7}; /* written, not added to */
@@ -272,7 +272,7 @@ static kg_status run_complex(const kg_primitive *primitive, const double complex
   const void *in = x;
   void *to = sum;
   kg_graph graph = {.number = 2 * sizeof(double), .lanes = 2};
-  const kg_call call = {block->attributes, 1, 2, 1, &in, y, saved, &graph};
+  const kg_call call = {block->attributes, 1, 2, 1, &in, y, saved, &graph, 0};
   kg_status status = kg_kernels_c64_base[kg_op_primitive].forward(&call);
   if (status == KG_OK) {
     kg_kernels_c64_base[kg_op_primitive].vjp(&call, seed, &to);

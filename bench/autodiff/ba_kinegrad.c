@@ -12,7 +12,7 @@
 #include "kinegrad/derivatives.h"
 #include "kinegrad/program.h"
 
-enum { LANES = 376, INPUTS = KG_BENCH_BA_INPUTS, CAMERA = KG_BENCH_BA_CAMERA, WEIGHT = 14 };
+enum { LANES = 128, INPUTS = KG_BENCH_BA_INPUTS, CAMERA = KG_BENCH_BA_CAMERA, WEIGHT = 14 };
 
 /* ---- one observation ------------------------------------------------------------------------- */
 
