@@ -431,6 +431,7 @@ static const kink kinks[] = {
 typedef struct point {
   const row *row;
   int variant;
+  int active;                    /* the only operand that is no constant; -1: all are active */
   size_t n, first[OPERANDS + 1]; /* where each operand starts */
   double x[MOST], beside[MOST];
 } point;
@@ -444,18 +445,24 @@ static size_t size_of(kg_shape shape)
   return size;
 }
 
-static kg_value unpack(kg_tape *tape, kg_value x, size_t first, kg_shape shape)
+/* operand k out of x, or a constant that does not follow x */
+static kg_value unpack(kg_tape *tape, kg_value x, const point *p, int k)
 {
-  if (shape.rank < 0) return kg_element(tape, x, first);
-  const int count = (int)size_of(shape);
-  return kg_reshape(tape, kg_slice(tape, x, 0, (int)first, count), shape);
+  const kg_shape shape = p->row->variants[p->variant].of[k];
+  const bool constant = p->active >= 0 && p->active != k;
+  const size_t first = p->first[k];
+  if (shape.rank < 0) {
+    return constant ? kg_constant_scalar(tape, p->x[first]) : kg_element(tape, x, first);
+  }
+  if (constant) return kg_constant(tape, shape, &p->x[first]);
+  return kg_reshape(tape, kg_slice(tape, x, 0, (int)first, (int)size_of(shape)), shape);
 }
 
 static kg_value record_with(recording *record, const point *p, kg_tape *tape, kg_value x)
 {
   kg_value operands[OPERANDS];
   for (int k = 0; k < p->row->operands; ++k) {
-    operands[k] = unpack(tape, x, p->first[k], p->row->variants[p->variant].of[k]);
+    operands[k] = unpack(tape, x, p, k);
   }
   return record(tape, operands, p->variant);
 }
@@ -474,7 +481,7 @@ static kg_value record_reference(kg_tape *tape, kg_value x, void *user)
 
 static point point_of(const row *r, int variant)
 {
-  point p = {.row = r, .variant = variant};
+  point p = {.row = r, .variant = variant, .active = -1};
   for (int k = 0; k < r->operands; ++k) {
     p.first[k + 1] = p.first[k] + size_of(r->variants[variant].of[k]);
   }
@@ -569,8 +576,10 @@ static kg_status check_row(walk *w, int points)
 {
   kg_status status = KG_OK;
   for (int i = 0; i < points && status == KG_OK; ++i) {
+    const int round = i / w->row->variant_count;
     point p = random_point(w->row, i % w->row->variant_count, &w->random);
-    status = check_point(w, &p, p.x, i < 2 * w->row->variant_count);
+    if (w->row->operands > 1) p.active = round % (w->row->operands + 1) - 1;
+    status = check_point(w, &p, p.x, round < 2);
   }
   for (size_t i = 0; i < KG_COUNT_OF(kinks) && status == KG_OK; ++i) {
     if (kinks[i].record == w->row->record) status = check_kink(w, &kinks[i]);
