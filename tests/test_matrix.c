@@ -17,7 +17,7 @@ static kg_value random_input(kg_tape *tape, kg_shape shape, kg_random *random)
   return value;
 }
 
-/* entry (i, j) of matrix number `batch` of a value, transposed if asked; rank 2 serves every batch */
+/* entry (i, j) of matrix number `batch`, transposed if asked; rank 2 serves every batch */
 static double at(const kg_tape *tape, kg_value a, size_t batch, size_t i, size_t j, bool transposed)
 {
   const kg_shape shape = kg_shape_of(tape, a);
