@@ -1,5 +1,5 @@
 /* bench/autodiff/nets_kinegrad.h - gradients of the nets by kinegrad, in single precision, written
- * as a user writes them. Create, run and destroy functions of kg_bench_contestant; data: kg_bench_net;
+ * as a user writes them: create, run and destroy of kg_bench_contestant; data: kg_bench_net;
  * answer: loss, gradient.
  * "recorded": parameters stay on the tape, everything behind them is recorded anew for each answer.
  * "replayed": recorded once and frozen; an answer is a run and a backward sweep. */
