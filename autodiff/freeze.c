@@ -602,7 +602,10 @@ kg_status kg_program_create(const kg_program_def *def, const kg_tape *tape, int 
                             kg_program **program, kg_error *error)
 {
   const kg_program_def settings = def ? *def : kg_program_default_def();
-  KG_ASSERT(settings.lanes >= 1);
+  if (settings.lanes < 1) {
+    *program = NULL;
+    return kg_fail(error, KG_ERR_SHAPE, "", 0, 0, "program: %d lanes; at least 1", settings.lanes);
+  }
   return kg_freeze(&settings, true, tape, input_count, inputs, output_count, outputs, program,
                    error);
 }

@@ -67,6 +67,7 @@ void kg_tape_rewind(kg_tape *tape, kg_tape_mark mark)
   tape->tag_count = mark.tags;
   kg_arena_rewind(&tape->arena, (kg_arena_mark){mark.block, mark.used});
   tape->error.status = KG_OK;
+  tape->error.text[0] = 0;
   tape->graph.status = KG_OK;
 }
 

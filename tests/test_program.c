@@ -492,6 +492,23 @@ static void test_float(void **state)
   kg_program_destroy(p);
 }
 
+static void lanes_are_counted_from_one(void **state)
+{
+  (void)state;
+  kg_tape *tape;
+  kg_program *program;
+  kg_error error;
+  assert_int_equal(kg_tape_create(NULL, &tape, NULL), KG_OK);
+  const kg_value x = kg_scalar(tape, 2), y = kg_square(tape, x);
+  for (int lanes = -1; lanes <= 0; ++lanes) {
+    const kg_program_def def = {.lanes = lanes};
+    assert_int_equal(kg_program_create(&def, tape, 1, &x, 1, &y, &program, &error), KG_ERR_SHAPE);
+    assert_null(program);
+    assert_non_null(strstr(error.text, "lanes"));
+  }
+  kg_tape_destroy(tape);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -508,6 +525,7 @@ int main(void)
     cmocka_unit_test(test_memory_refused_anywhere),
     cmocka_unit_test(test_steady_state_allocates_nothing),
     cmocka_unit_test(test_complex_arithmetic),
+    cmocka_unit_test(lanes_are_counted_from_one),
     cmocka_unit_test(test_float),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);

@@ -72,7 +72,8 @@ KG_API const kg_error *kg_program_error(const kg_program *program);
  * number of directions changes. NULL when memory is refused. */
 KG_API void *kg_program_seed(kg_program *program, int o, int directions);
 
-/* Backward from the seeds at the inputs of the last run. */
+/* Backward from the seeds, at the last run. The inputs must still hold what was run: the sweep reads
+ * them again. */
 KG_API kg_status kg_program_backward(kg_program *program, int directions);
 /* The adjoint of input i, (directions, size, lanes); NULL when it was made as a constant. */
 KG_API const void *kg_program_adjoint(const kg_program *program, int i);
@@ -80,7 +81,7 @@ KG_API const void *kg_program_adjoint(const kg_program *program, int i);
 /* Where to write the tangent of input i before kg_program_forward, (directions, size, lanes); as
  * kg_program_seed. */
 KG_API void *kg_program_tangent(kg_program *program, int i, int directions);
-/* Forward along the tangents at the inputs of the last run. */
+/* Forward along the tangents, at the last run; likewise. */
 KG_API kg_status kg_program_forward(kg_program *program, int directions);
 /* The tangent of output o, (directions, size, lanes). */
 KG_API const void *kg_program_output_tangent(const kg_program *program, int o);

@@ -1,7 +1,7 @@
 /* kinegrad/tape.h - reverse-mode automatic differentiation: the tape and its values.
  *
  *   kg_tape *tape;
- *   kg_tape_create(NULL, &tape, NULL);
+ *   if (kg_tape_create(NULL, &tape, NULL) != KG_OK) ...
  *   const kg_value x = kg_scalar(tape, 2.0);
  *   const kg_value y = kg_mul(tape, x, kg_sin(tape, x));       y = x sin x
  *   kg_backward(tape, y);
