@@ -711,6 +711,17 @@ static bool has_complex_form(const kg_tape *tape)
   return true;
 }
 
+static bool has_jvp(const kg_tape *tape)
+{
+  for (uint32_t i = 0; i < tape->graph.count; ++i) {
+    const kg_node *node = &tape->graph.node[i];
+    if (node->op != kg_op_primitive) continue;
+    const kg_primitive_attributes *a = node->is.block->attributes;
+    if (!a->primitive->jvp) return false;
+  }
+  return true;
+}
+
 /* the program stays NULL when something in the record has no complex form */
 static kg_status freeze_truth(recorded *r, const char *name, kg_error *error)
 {
@@ -753,7 +764,7 @@ static kg_status check_recorded(recorded *r, const char *name, const double *x,
                                .user = r,
                                .value = recorded_value,
                                .vjp = recorded_vjp,
-                               .jvp = recorded_jvp,
+                               .jvp = has_jvp(r->tape) ? recorded_jvp : NULL,
                                .complex_step = r->program     ? recorded_complex_step
                                                : !r->truth.at ? no_slope
                                                               : NULL};
@@ -782,6 +793,76 @@ kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, void *us
 {
   const kg_gradcheck_truth itself = {function, x};
   return kg_gradcheck_against(name, function, user, shape, x, &itself, def, report, error);
+}
+
+/* -- primitives at their own samples ------------------------------------------------------------ */
+
+typedef struct sampled {
+  const kg_primitive *primitive;
+  int count;
+  kg_shape shapes[KG_MAX_OPERANDS];
+  double *in[KG_MAX_OPERANDS];
+} sampled;
+
+/* the operands cut out of x, which holds them end to end */
+static kg_value apply_sampled(kg_tape *tape, kg_value x, void *user)
+{
+  const sampled *s = user;
+  kg_value operands[KG_MAX_OPERANDS];
+  int start = 0;
+  for (int k = 0; k < s->count; ++k) {
+    const int size = (int)kg_shape_size(&s->shapes[k]);
+    operands[k] = kg_reshape(tape, kg_slice(tape, x, 0, start, size), s->shapes[k]);
+    start += size;
+  }
+  return kg_apply(tape, s->primitive, s->count, operands);
+}
+
+static kg_status check_sample(const kg_primitive *primitive, int index, kg_random *random,
+                              kg_arena *arena, const kg_gradcheck_def *def,
+                              kg_gradcheck_report *report, kg_error *error)
+{
+  sampled s = {.primitive = primitive};
+  s.count = primitive->sample(primitive->user, random, index, arena, s.shapes, s.in);
+  size_t size = 0;
+  for (int k = 0; k < s.count; ++k) {
+    size += kg_shape_size(&s.shapes[k]);
+  }
+  double *x = s.count > 0 ? KG_ARENA_ARRAY(arena, double, size) : NULL;
+  if (!x) {
+    return kg_fail(error, s.count > 0 ? KG_ERR_NO_MEMORY : KG_ERR_UNDEFINED, "", 0, 0,
+                   "%s: sample %d gave no operands", primitive->name, index);
+  }
+  for (int k = 0, at = 0; k < s.count; at += (int)kg_shape_size(&s.shapes[k]), ++k) {
+    memcpy(x + at, s.in[k], kg_shape_size(&s.shapes[k]) * sizeof *x);
+  }
+  return kg_gradcheck_recorded(primitive->name, apply_sampled, &s, KG_SHAPE((int32_t)size), x, def,
+                               report, error);
+}
+
+kg_status kg_gradcheck_primitive(const kg_primitive *primitive, int points,
+                                 const kg_gradcheck_def *def, kg_gradcheck_report *worst,
+                                 kg_error *error)
+{
+  KG_ASSERT(primitive->sample && points > 0);
+  kg_random random = kg_random_make(def ? def->seed : 1);
+  kg_arena arena;
+  kg_arena_init(&arena, def ? def->allocator : NULL);
+  kg_status status = KG_OK;
+  for (int i = 0; i < points && status == KG_OK; ++i) {
+    kg_gradcheck_report report;
+    const kg_arena_mark mark = kg_arena_mark_of(&arena);
+    status = check_sample(primitive, i, &random, &arena, def, &report, error);
+    kg_arena_rewind(&arena, mark);
+    if (status != KG_OK) break;
+    if (i == 0) {
+      *worst = report;
+    } else {
+      kg_gradcheck_merge(worst, &report);
+    }
+  }
+  kg_arena_release(&arena);
+  return status;
 }
 
 /* -- a table for a terminal -------------------------------------------------------------------- */

@@ -3,6 +3,7 @@
 #include "support.h"
 
 #include "kinegrad/gradcheck.h"
+#include "kinegrad/primitive.h"
 
 enum { MOST = 64 };
 
@@ -537,6 +538,67 @@ static void refused_recordings_say_why(void **state)
   assert_non_null(strstr(error.text, "refused: add"));
 }
 
+/* y_i = a_i^3 b, b a scalar; *user is a factor on the adjoint of b: 1 is right */
+static kg_status cube_shape(void *user, int count, const kg_shape *shapes, kg_shape *result,
+                            size_t *saved)
+{
+  (void)user, (void)saved;
+  *result = shapes[0];
+  return count == 2 && shapes[1].rank == 0 ? KG_OK : KG_ERR_SHAPE;
+}
+
+static kg_status cube(const kg_primitive_call *call)
+{
+  for (size_t i = 0; i < kg_shape_size(&call->shape); ++i) {
+    call->out[i] = pow(call->in[0][i], 3) * call->in[1][0];
+  }
+  return KG_OK;
+}
+
+static kg_status cube_vjp(const kg_primitive_call *call, const double *g, double *const *sums)
+{
+  for (size_t i = 0; i < kg_shape_size(&call->shape); ++i) {
+    const double a = call->in[0][i];
+    if (sums[0]) sums[0][i] += 3 * a * a * call->in[1][0] * g[i];
+    if (sums[1]) sums[1][0] += *(const double *)call->user * a * a * a * g[i];
+  }
+  return KG_OK;
+}
+
+static int cube_sample(void *user, kg_random *random, int index, kg_arena *arena, kg_shape *shapes,
+                       double **in)
+{
+  (void)user;
+  shapes[0] = KG_SHAPE(2, 1 + index % 3);
+  shapes[1] = KG_SCALAR_SHAPE;
+  for (int k = 0; k < 2; ++k) {
+    in[k] = KG_ARENA_ARRAY(arena, double, kg_shape_size(&shapes[k]));
+    for (size_t i = 0; i < kg_shape_size(&shapes[k]); ++i) {
+      in[k][i] = 1 + kg_random_uniform(random);
+    }
+  }
+  return 2;
+}
+
+static void primitives_are_checked_at_their_samples(void **state)
+{
+  (void)state;
+  double factor = 1;
+  const kg_primitive primitive = {.name = "cube",
+                                  .user = &factor,
+                                  .shape = cube_shape,
+                                  .forward = cube,
+                                  .vjp = cube_vjp,
+                                  .sample = cube_sample};
+  kg_gradcheck_report report;
+  assert_int_equal(kg_gradcheck_primitive(&primitive, 5, NULL, &report, NULL), KG_OK);
+  assert_true(report.passed);
+  assert_string_equal(report.method, "differences");
+  factor = 1 + 1e-5;
+  assert_int_equal(kg_gradcheck_primitive(&primitive, 5, NULL, &report, NULL), KG_OK);
+  assert_false(report.passed);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -555,6 +617,7 @@ int main(void)
     cmocka_unit_test(memory_that_is_refused_is_reported),
     cmocka_unit_test(rows_of_the_table_line_up),
     cmocka_unit_test(recorded_functions_are_checked),
+    cmocka_unit_test(primitives_are_checked_at_their_samples),
     cmocka_unit_test(refused_recordings_say_why),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);

@@ -84,6 +84,13 @@ KG_API kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, v
                                        kg_shape shape, const double *x, const kg_gradcheck_def *def,
                                        kg_gradcheck_report *report, kg_error *error);
 
+/* A primitive at `points` points of its own sample callback, which it must have; the worst is
+ * reported. Without a JVP or a complex form it is compared by its VJP and by differences. */
+struct kg_primitive;
+KG_API kg_status kg_gradcheck_primitive(const struct kg_primitive *primitive, int points,
+                                        const kg_gradcheck_def *def, kg_gradcheck_report *worst,
+                                        kg_error *error);
+
 /* Adds what another point showed: *worst keeps the larger error with its place, the larger dot
  * test, the lower order. */
 KG_API void kg_gradcheck_merge(kg_gradcheck_report *worst, const kg_gradcheck_report *report);

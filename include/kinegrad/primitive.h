@@ -96,8 +96,6 @@ typedef struct kg_implicit {
   kg_status (*forward_solve)(const kg_primitive_call *call, const double *rhs, double *out);
   kg_status (*residual_jvp)(const kg_primitive_call *call, const double *const *tangents,
                             double *out);
-  int (*sample)(void *user, kg_random *random, int index, kg_arena *arena, kg_shape *shapes,
-                double **in);
 } kg_implicit;
 
 /* Records the solution; the description must outlive the tape and its programs. */
