@@ -189,21 +189,6 @@ static void backward_element(kg_graph *graph, const kg_node *node, const double 
   }
 }
 
-typedef double pair __attribute__((vector_size(16), aligned(8), may_alias));
-typedef int64_t pair_mask __attribute__((vector_size(16)));
-
-/* adds partial adjoint, nothing where the adjoint is zero: two directions at once, without branches */
-static inline void add_terms(double *to, double partial, const double *adjoint,
-                             const size_t directions)
-{
-  size_t s = 0;
-  for (; s + 2 <= directions; s += 2) {
-    const pair g = *(const pair *)(adjoint + s), term = partial * g;
-    *(pair *)(to + s) += (pair)((pair_mask)(g != 0) & (pair_mask)term);
-  }
-  if (s < directions && adjoint[s] != 0) to[s] += partial * adjoint[s];
-}
-
 /* blocks, and entries of tensors that became scalars */
 static __attribute__((noinline)) void backward_other(kg_graph *graph, const kg_node *node,
                                                      const double *adjoint)
@@ -215,10 +200,66 @@ static __attribute__((noinline)) void backward_other(kg_graph *graph, const kg_n
   }
 }
 
-/* From the newest node to node `last`; directions is a number known to the compiler, or not. */
-static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint32_t last,
-                                                           const size_t directions)
+/* Adjoints of a scalar in one and in two directions. */
+typedef double single;
+typedef double pair __attribute__((vector_size(16), aligned(8), may_alias));
+typedef int64_t pair_mask __attribute__((vector_size(16)));
+
+/* partial adjoint, nothing where the adjoint is zero */
+static inline single single_term(double partial, single adjoint)
 {
+  const single term = partial * adjoint;
+  return adjoint != 0 ? term : 0;
+}
+
+static inline pair pair_term(double partial, pair adjoint)
+{
+  const pair term = partial * adjoint;
+  return (pair)((pair_mask)(adjoint != 0) & (pair_mask)term);
+}
+
+/* From the newest node to node `last`. The node before often waits for what this one adds to it: that is
+ * `carried` to it in a register, for memory just written takes long to read. */
+#define BACKWARD_ADD(type, k)                                                                      \
+  do {                                                                                             \
+    const uint32_t to = node->input[k];                                                            \
+    const type sum = scalar[to] + type##_term(node->partial[k], adjoint);                          \
+    scalar[to] = sum;                                                                              \
+    if (to == i - 1) {                                                                             \
+      carried = sum;                                                                               \
+      carried_to = to;                                                                             \
+    }                                                                                              \
+  } while (0)
+#define BACKWARD(type)                                                                             \
+  static void backward_##type(kg_graph *graph, uint32_t last)                                      \
+  {                                                                                                \
+    type *scalar = graph->scalar.memory, carried = {0};                                            \
+    uint32_t carried_to = 0;                                                                       \
+    for (uint32_t i = graph->swept - 1; i >= last && i > 0; --i) {                                 \
+      const kg_node *node = &graph->node[i];                                                       \
+      if ((int32_t)node->input[0] <= 0) {                                                          \
+        if (!node->input[0] && !node->is_block) continue; /* a leaf */                             \
+        backward_other(graph, node, (const double *)&scalar[i]);                                   \
+        if (graph->status != KG_OK) return;                                                        \
+        continue;                                                                                  \
+      }                                                                                            \
+      type adjoint;                                                                                \
+      if (carried_to == i) {                                                                       \
+        adjoint = carried;                                                                         \
+      } else {                                                                                     \
+        adjoint = scalar[i];                                                                       \
+      }                                                                                            \
+      BACKWARD_ADD(type, 0);                                                                       \
+      if (node->input[1]) BACKWARD_ADD(type, 1);                                                   \
+    }                                                                                              \
+  }
+BACKWARD(single)
+BACKWARD(pair)
+
+/* the same for any number of directions */
+static void backward(kg_graph *graph, uint32_t last)
+{
+  const size_t directions = (size_t)graph->directions;
   double *scalar = graph->scalar.memory;
   for (uint32_t i = graph->swept - 1; i >= last && i > 0; --i) {
     const kg_node *node = &graph->node[i];
@@ -229,26 +270,29 @@ static inline __attribute__((always_inline)) void backward(kg_graph *graph, uint
       if (graph->status != KG_OK) return;
       continue;
     }
-    add_terms(scalar + node->input[0] * directions, node->partial[0], adjoint, directions);
-    if (node->input[1]) {
-      add_terms(scalar + node->input[1] * directions, node->partial[1], adjoint, directions);
+    for (int k = 0; k < 2 && node->input[k]; ++k) {
+      double *to = scalar + node->input[k] * directions;
+      size_t s = 0;
+      for (; s + 2 <= directions; s += 2) {
+        *(pair *)(to + s) += pair_term(node->partial[k], *(const pair *)(adjoint + s));
+      }
+      if (s < directions) to[s] += single_term(node->partial[k], adjoint[s]);
     }
   }
 }
 
-/* one and two directions get loops of their own */
 void kg_sweep_backward(kg_graph *graph, uint32_t last)
 {
   graph->complete = last ? last - 1 : 0;
   switch (graph->directions) {
     case 1:
-      backward(graph, last, 1);
+      backward_single(graph, last);
       break;
     case 2:
-      backward(graph, last, 2);
+      backward_pair(graph, last);
       break;
     default:
-      backward(graph, last, (size_t)graph->directions);
+      backward(graph, last);
       break;
   }
 }
