@@ -1,14 +1,12 @@
 /* Freezing: from a record on a tape to a program.
  *
  *   varying   depends on an input of the program; the rest keeps its recorded numbers
- *   needed    an output, a comparison that was asked (kg_is_less), or an operand of something needed
+ *   needed    an output, a comparison that was asked (kg_is_less), or an operand of something
+ *             needed
  *   held      its numbers are read by a run: varying and needed, or a constant such a one reads
  *   same      the first value made by the same operator of the same operands. The later one takes
- *             over its numbers but stays a node, so that adjoints are summed as they would be on the
- *             tape. Equal constants, having no adjoints, become one node.
- *
- * Adjoints (and tangents) of a node matter from the node to the last operator that reads it. Nodes of
- * one size whose spans do not meet share their place. */
+ *             over its numbers but stays a node, so that adjoints are summed as they would be on
+ *             the tape. Equal constants, having no adjoints, become one node. */
 #include "autodiff/attributes.h"
 #include "autodiff/frozen.h"
 #include "autodiff/tape.h"
@@ -357,94 +355,6 @@ static bool prepare_steps(freezer *f)
   return fine && p->step;
 }
 
-/* -- places of the adjoints -------------------------------------------------------------------- */
-
-/* Places of one size that nobody uses now: a chain through `next`, by node. */
-typedef struct places {
-  size_t size;
-  uint32_t free; /* a node that had one; 0: none */
-} places;
-
-typedef struct planner {
-  kg_graph *graph;
-  uint32_t *last;   /* (nodes) the last node that reads it */
-  uint32_t *ending; /* (nodes) first of the chain of nodes that are last read by this one */
-  uint32_t *next;   /* (nodes) the next in its chain */
-  places *places;
-  size_t sizes;
-} planner;
-
-static places *places_of(planner *plan, size_t size)
-{
-  for (size_t i = 0; i < plan->sizes; ++i) {
-    if (plan->places[i].size == size) return &plan->places[i];
-  }
-  plan->places[plan->sizes] = (places){.size = size};
-  return &plan->places[plan->sizes++];
-}
-
-static void chain(planner *plan, uint32_t node, uint32_t *first)
-{
-  plan->next[node] = *first;
-  *first = node;
-}
-
-static void find_spans(planner *plan, const kg_program *p)
-{
-  for (uint32_t i = 1; i < plan->graph->count; ++i) {
-    const kg_block *block = plan->graph->node[i].is.block;
-    plan->last[i] = i;
-    for (int k = 0; k < block->count; ++k) {
-      plan->last[kg_index(block->input[k])] = i;
-    }
-  }
-  for (int o = 0; o < p->info.outputs; ++o) {
-    plan->last[kg_index(p->output[o])] = plan->graph->count; /* read at the end */
-  }
-  for (uint32_t i = 1; i <= (uint32_t)p->info.inputs; ++i) {
-    if (plan->last[i] == i) plan->last[i] = plan->graph->count; /* nobody's, but asked for */
-  }
-  for (uint32_t i = 1; i < plan->graph->count; ++i) {
-    if (plan->last[i] < plan->graph->count) chain(plan, i, &plan->ending[plan->last[i]]);
-  }
-}
-
-static void give_places(planner *plan)
-{
-  kg_graph *graph = plan->graph;
-  for (uint32_t i = 1; i < graph->count; ++i) {
-    kg_block *block = graph->node[i].is.block;
-    const bool is_read_later = graph->node[i].active || plan->last[i] == graph->count;
-    places *own = is_read_later ? places_of(plan, block->size) : NULL;
-    if (own && own->free) {
-      block->adjoint = graph->node[own->free].is.block->adjoint;
-      own->free = plan->next[own->free];
-    } else if (own) {
-      block->adjoint = graph->adjoint_size;
-      graph->adjoint_size += block->size;
-    }
-    for (uint32_t done = plan->ending[i], next; done; done = next) {
-      next = plan->next[done];
-      const kg_node *node = &graph->node[done];
-      if (node->active) chain(plan, done, &places_of(plan, node->is.block->size)->free);
-    }
-  }
-}
-
-static bool plan_adjoints(freezer *f)
-{
-  kg_graph *graph = &f->program->graph;
-  planner plan = {.graph = graph};
-  plan.last = KG_ARENA_ARRAY(&f->scratch, uint32_t, graph->count);
-  plan.ending = KG_ARENA_ARRAY(&f->scratch, uint32_t, graph->count);
-  plan.next = KG_ARENA_ARRAY(&f->scratch, uint32_t, graph->count);
-  plan.places = KG_ARENA_ARRAY(&f->scratch, places, graph->count);
-  if (kg_arena_failed(&f->scratch)) return false;
-  find_spans(&plan, f->program);
-  give_places(&plan);
-  return true;
-}
-
 /* -- creation ---------------------------------------------------------------------------------- */
 
 static kg_status refuse(kg_error *error, kg_status status, const char *what, int i)
@@ -542,9 +452,10 @@ static kg_status freeze(freezer *f, int input_count, const kg_value *inputs, int
     p->output[o] = place_of(f, outputs[o].id) | KG_TENSOR;
   }
   count_fates(f);
-  const bool fine =
-    prepare_steps(f) && plan_adjoints(f) && begin_port(p, &p->seed, output_count, p->output) &&
-    begin_port(p, &p->tangent, input_count, p->input) && kg_graph_reserve_pointers(&p->graph);
+  const bool fine = prepare_steps(f) && kg_plan_adjoints(p, &f->scratch) &&
+                    begin_port(p, &p->seed, output_count, p->output) &&
+                    begin_port(p, &p->tangent, input_count, p->input) &&
+                    kg_graph_reserve_pointers(&p->graph);
   return fine ? KG_OK : KG_ERR_NO_MEMORY;
 }
 

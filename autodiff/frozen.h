@@ -1,4 +1,4 @@
-/* frozen.h - inside of a program: made by freeze.c, run by program.c.
+/* frozen.h - inside of a program: made by freeze.c and places.c, run by program.c.
  *
  * A program is a graph of its own in which every node is a block, scalars included: first the
  * inputs, then the constants, then the operators in recorded order. */
@@ -47,6 +47,10 @@ struct kg_program {
 kg_status kg_freeze(const kg_program_def *def, bool guarded, const kg_tape *tape, int input_count,
                     const kg_value *inputs, int output_count, const kg_value *outputs,
                     kg_program **program, kg_error *error);
+
+/* Gives every value that a sweep asks for a place in its memory (places.c); false when memory is
+ * refused. */
+bool kg_plan_adjoints(kg_program *program, kg_arena *scratch);
 
 static inline void kg_put_number(kg_arithmetic arithmetic, void *numbers, size_t at, double x)
 {

@@ -146,8 +146,8 @@ kg_status kg_graph_evaluate(kg_graph *graph, kg_node *node);
 
 /* Starts a backward or forward sweep of so many directions: all adjoints (tangents) are zero. */
 kg_status kg_sweep_begin(kg_graph *graph, int directions);
-/* The adjoint of an active block; entry: bytes of one entry, of all directions and lanes. One that was
- * untouched is made zero, or left as it is, *fresh saying so, when fresh is given. */
+/* The adjoint of an active block; entry: bytes of one entry, of all directions and lanes. One that
+ * was untouched is made zero, or left as it is, *fresh saying so, when fresh is given. */
 static inline void *kg_sweep_touch(const kg_graph *graph, kg_block *block, size_t entry,
                                    bool *fresh)
 {
@@ -162,7 +162,7 @@ static inline void *kg_sweep_touch(const kg_graph *graph, kg_block *block, size_
   }
   return adjoint;
 }
-/* True when the node's vjp heeds kg_call's fresh: element-wise operators of operands of one shape. */
+/* True when the node's vjp heeds kg_call's fresh: element-wise operators, operands of one shape. */
 bool kg_writes_adjoints(const kg_node *node);
 /* The adjoint or tangent of a value, (directions, size, lanes), made zero when it was untouched;
  * NULL for a constant. */

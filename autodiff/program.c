@@ -198,7 +198,7 @@ static kg_status finish_sweep(kg_program *program)
   return graph->status == KG_OK ? KG_OK : fail_at(program, graph->failed, graph->status);
 }
 
-/* The sweep of sweep.c with its calls prepared; entry: bytes of one, of all directions and lanes. */
+/* The sweep of sweep.c with its calls prepared; entry: bytes of one, all directions and lanes. */
 static void step_back(const kg_program *program, kg_step *step, int directions, size_t entry)
 {
   void **in_adjoint = program->graph.pointers.memory;

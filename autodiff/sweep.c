@@ -139,7 +139,7 @@ bool kg_writes_adjoints(const kg_node *node)
   return node->is.block->attribute_bytes == KG_FLAT_BYTES;
 }
 
-/* adjoint of operand i; its bit in *fresh, when that is given, says that nothing was written there yet */
+/* adjoint of operand i; its bit in *fresh, when that is given, says that nothing is there yet */
 static void *touch(kg_graph *graph, uint32_t id, unsigned *fresh, int i)
 {
   const kg_node *node = &graph->node[kg_index(id)];
@@ -218,8 +218,8 @@ static inline pair pair_term(double partial, pair adjoint)
   return (pair)((pair_mask)(adjoint != 0) & (pair_mask)term);
 }
 
-/* From the newest node to node `last`. The node before often waits for what this one adds to it: that is
- * `carried` to it in a register, for memory just written takes long to read. */
+/* From the newest node to node `last`. The node before often waits for what this one adds to it:
+ * that is `carried` to it in a register, for memory just written takes long to read. */
 #define BACKWARD_ADD(type, k)                                                                      \
   do {                                                                                             \
     const uint32_t to = node->input[k];                                                            \

@@ -1,4 +1,4 @@
-/* Jacobians and products with the Hessian against closed forms; colourings against their definition. */
+/* Jacobians and products with the Hessian against closed forms; colourings against what they are. */
 #include "kinegrad/derivatives.h"
 #include "support.h"
 

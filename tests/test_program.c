@@ -1,4 +1,4 @@
-/* Programs frozen from a record: the same bits as recording, in one lane; the same answers in many. */
+/* Programs frozen from a record: the bits of recording, in one lane; the same answers in many. */
 #include "autodiff/frozen.h"
 #include "autodiff/tape.h"
 #include "kinegrad/derivatives.h"
@@ -268,7 +268,7 @@ static void test_seeds_stay_until_directions_change(void **state)
   kg_tape_destroy(t);
 }
 
-/* a comparison that turns around, named by tag and lane; one that depends on no input stays unasked */
+/* a comparison that turns around, named by tag and lane; one that depends on no input is dropped */
 static void test_stale_comparison(void **state)
 {
   (void)state;

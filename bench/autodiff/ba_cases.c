@@ -1,8 +1,9 @@
 /* Derivatives of bundle adjustment: the sparse Jacobian and the gradient of the loss. The data are
  * perturbed, since in ADBench's all cameras, points, weights and features are equal.
  *
- * Answer of a Jacobian case: Jacobian (p x 2 x 15, p), residuals (p x 2, p); entries are compared by
- * column, whose scales differ. Of a loss case: the loss, its gradient by cameras, points, weights. */
+ * Answer of a Jacobian case: Jacobian (p x 2 x 15, p), residuals (p x 2, p); entries are compared
+ * by column, whose scales differ. Of a loss case: the loss, its gradient by cameras, points,
+ * weights. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -221,8 +222,8 @@ static const kg_bench_pair loss_pairs[] = {
   {                                                                                                \
     .name = (title), .unit = (time_unit), .unit_seconds = (seconds), .tolerance = 1e-10,           \
     .detail = (size_of), .open = (open_function), .close = close,                                  \
-    .reference = (reference_function), .contestants = (table), .contestant_count = KG_COUNT_OF(table), \
-    .pairs = ratios, .pair_count = KG_COUNT_OF(ratios)                                             \
+    .reference = (reference_function), .contestants = (table),                                     \
+    .contestant_count = KG_COUNT_OF(table), .pairs = ratios, .pair_count = KG_COUNT_OF(ratios)     \
   }
 /* clang-format on */
 

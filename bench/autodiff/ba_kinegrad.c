@@ -1,10 +1,10 @@
 /* Bundle adjustment by kinegrad: one observation recorded as scalar operators.
  *
  *   recorded   anew for each observation, both rows of its Jacobian in one backward sweep
- *   replayed   recorded once and frozen; runs on LANES observations side by side (rows of 512 numbers
+ *   replayed   recorded once and frozen; runs on LANES observations side by side (with 256 the rows
  *              would start 4096 bytes apart and compete for the same lines of the cache)
  *
- * Weight residuals have a program of their own; so has the loss, summed over the lanes afterwards. */
+ * Weight residuals have a program of their own; so has the loss, summed over the lanes after. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,7 +12,7 @@
 #include "kinegrad/derivatives.h"
 #include "kinegrad/program.h"
 
-enum { LANES = 128, INPUTS = KG_BENCH_BA_INPUTS, CAMERA = KG_BENCH_BA_CAMERA, WEIGHT = 14 };
+enum { LANES = 248, INPUTS = KG_BENCH_BA_INPUTS, CAMERA = KG_BENCH_BA_CAMERA, WEIGHT = 14 };
 
 /* ---- one observation ------------------------------------------------------------------------- */
 
