@@ -333,17 +333,14 @@ static double over(double error, double size)
   return error == 0 ? 0 : error / size;
 }
 
-/* What the error of entry (o, j) is put over: at least the size whose rounding error is just tolerated. */
+/* what the error of entry (o, j) is put over */
 static double size_of_entry(const check *c, size_t o, size_t j, double a)
 {
   const double N = c->N[o * c->n + j], E = c->E[o * c->n + j];
   const bool exact = c->f->complex_step != NULL;
-  const double value = c->size / unit_of(c, j);
-  const double largest = fmax(fmax(c->largest, fabs(N)), (exact ? 1e-2 : 1e-5) * value);
-  if (exact) return largest;
-  const double rounding = 4 * DBL_EPSILON * fmax(largest, value);
-  return fmax(fmax(fabs(a), fabs(N)),
-              fmax(rounding, fmin(largest * c->tolerance, trust * E)) / c->tolerance);
+  const double least = (exact ? 1e-2 : 1e-5) * c->size / unit_of(c, j);
+  const double largest = fmax(fmax(c->largest, fabs(N)), least);
+  return exact ? largest : fmax(fmax(fabs(a), fabs(N)), fmin(largest, trust * E / c->tolerance));
 }
 
 static void judge(check *c, size_t o, size_t j, double a, double N, double size)
@@ -463,7 +460,7 @@ static kg_status taylor_remainders(check *c)
 /* *order: the least of all outputs along one direction */
 static kg_status taylor_order(check *c, double *order)
 {
-  kg_status status = measure_noise(c, ldexp(c->def->step, -10));
+  kg_status status = measure_noise(c, ldexp(c->def->step, -18));
   if (status == KG_OK) status = taylor_remainders(c);
   *order = HUGE_VAL;
   for (size_t o = 0; o < c->m && status == KG_OK; ++o) {

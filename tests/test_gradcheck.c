@@ -2,7 +2,7 @@
  * and every kind of mistake must be found. */
 #include "support.h"
 
-#include "kinegrad/gradcheck.h"
+#include "autodiff/gradcheck.h"
 #include "kinegrad/primitive.h"
 
 enum { MOST = 64 };
@@ -41,7 +41,7 @@ static double jacobian(const dense *f, const double *x, size_t o, size_t j)
   if (here && f->fault == WRONG_SIGN) return f->A[at] - slope;
   if (here && f->fault == MISSING_TERM) return slope;
   if (here && f->fault == WRONG_FACTOR) return (1 + 1e-6) * (f->A[at] + slope);
-  if (here && f->fault == NOT_A_NUMBER) return NAN;
+  if (at == 0 && f->fault == NOT_A_NUMBER) return NAN;
   return f->A[at] + slope;
 }
 
@@ -100,6 +100,36 @@ static kg_status dense_complex_step(void *user, const double *x, const double *d
         (f->A[at] * h * d[j] + f->B[at] * cos(f->s[j] * x[j]) * sinh(f->s[j] * h * d[j])) / h;
     }
   }
+  return KG_OK;
+}
+
+/* sin x + 1e9, and the slope A[0] cos x */
+static kg_status offset_value(void *user, const double *x, double *y)
+{
+  (void)user;
+  *y = 1e9 + sin(x[0]);
+  return KG_OK;
+}
+
+static kg_status offset_vjp(void *user, const double *x, const double *w, double *xw)
+{
+  *xw = *w * ((const dense *)user)->A[0] * cos(x[0]);
+  return KG_OK;
+}
+
+static kg_status offset_complex_step(void *user, const double *x, const double *d, double *yd)
+{
+  (void)user;
+  *yd = cos(x[0]) * *d;
+  return KG_OK;
+}
+
+/* the rows of a dense function, an error of 1e-17 in one that is zero */
+static kg_status rounded_vjp(void *user, const double *x, const double *w, double *xw)
+{
+  (void)user, (void)x;
+  xw[0] = w[0];
+  xw[1] = 1e-17 * w[1];
   return KG_OK;
 }
 
@@ -196,6 +226,61 @@ static void each_fault_is_found(void **state)
       }
     }
   }
+}
+
+/* the other tests switched off: the columns J e_j are held against the differences too */
+static void a_wrong_jvp_is_found_entry_by_entry(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(8);
+  dense f = random_dense(&random, 3, 3);
+  const double x[3] = {0.3, -0.8, 0.5};
+  kg_differentiable g = differentiable(&f);
+  g.jvp = dense_jvp;
+  g.complex_step = dense_complex_step;
+  kg_gradcheck_def def = kg_gradcheck_default_def();
+  def.dot_tolerance = 1;
+  kg_gradcheck_report r = check(&g, x, &def);
+  expect_pass(&r);
+  f.fault = JVP_DIFFERS;
+  r = check(&g, x, &def);
+  assert_false(r.passed);
+  assert_true(r.worst_output == 0);
+}
+
+/* beside a large value a small derivative still counts */
+static void an_offset_hides_nothing(void **state)
+{
+  (void)state;
+  dense f = {.n = 2, .m = 1, .A = {1, 1e9}, .B = {1, 0}, .s = {1, 1}};
+  const double x[2] = {0.3, 1};
+  kg_differentiable g = differentiable(&f);
+  g.inputs = 1; /* x[1] stays: an offset of 1e9 */
+  g.complex_step = offset_complex_step;
+  g.value = offset_value;
+  g.vjp = offset_vjp;
+  kg_gradcheck_def def = kg_gradcheck_default_def();
+  def.taylor = false;
+  kg_gradcheck_report r = check(&g, x, &def);
+  expect_pass(&r);
+  f.A[0] = 1.001; /* of the product only */
+  r = check(&g, x, &def);
+  assert_false(r.passed);
+}
+
+/* rounding errors in an entry that is zero are none of the derivative's */
+static void rounding_in_a_zero_entry_passes(void **state)
+{
+  (void)state;
+  dense f = {.n = 2, .m = 2, .A = {1, 0, 1e-16, 0}, .s = {1, 1}};
+  const double x[2] = {1, 0.5};
+  const kg_gradcheck_report r = check_dense(&f, x, 0);
+  expect_pass(&r);
+  f.A[2] = 0;
+  kg_differentiable g = differentiable(&f);
+  g.vjp = rounded_vjp;
+  const kg_gradcheck_report rounded = check(&g, x, NULL);
+  expect_pass(&rounded);
 }
 
 static void taylor_order_tells_a_wrong_derivative_alone(void **state)
@@ -358,6 +443,13 @@ static kg_status cosine_vjp(void *user, const double *x, const double *w, double
   return KG_OK;
 }
 
+static kg_status cosine_step(void *user, const double *x, const double *d, double *yd)
+{
+  (void)user;
+  *yd = cos(x[0]) * *d;
+  return KG_OK;
+}
+
 static void what_cannot_be_decided_is_said_to_be_so(void **state)
 {
   (void)state;
@@ -374,6 +466,26 @@ static void what_cannot_be_decided_is_said_to_be_so(void **state)
   def.tolerance = 1e-2;
   r = check(&f, &x, &def);
   expect_pass(&r);
+  int lucky = 0; /* agrees by chance, which is not enough */
+  for (def.tolerance = 1e-9; def.tolerance < 1e-2; def.tolerance *= 1.3) {
+    r = check(&f, &x, &def);
+    assert_true(!r.passed || r.error_estimate <= r.tolerance);
+    lucky += !r.passed && r.max_relative_error <= r.tolerance;
+  }
+  assert_true(lucky > 0);
+}
+
+/* what is extrapolated has far smaller errors than central differences, and knows it */
+static void differences_are_extrapolated(void **state)
+{
+  (void)state;
+  double factor = 1;
+  const kg_differentiable f = {"log", 1, 1, &factor, log_value, log_vjp, NULL, NULL};
+  const double x = 3;
+  const kg_gradcheck_report r = check(&f, &x, NULL);
+  expect_pass(&r);
+  assert_at_most(r.max_relative_error, 2e-12);
+  assert_at_most(r.error_estimate, 2e-11);
 }
 
 /* exp(-(x / 1e-6)^2) looks constant from afar: the first steps skip it */
@@ -452,6 +564,40 @@ static void values_that_are_not_numbers_fail(void **state)
   const kg_gradcheck_report r = check(&f, &x, NULL);
   assert_false(r.passed);
   assert_true(isnan(r.max_relative_error));
+  kg_differentiable g = {"nan", 1, 1, NULL, not_a_number, cosine_vjp, NULL, cosine_step};
+  const kg_gradcheck_report exact = check(&g, &x, NULL); /* the derivative alone is right */
+  assert_false(exact.passed);
+}
+
+static void of_two_reports_the_worse_is_kept(void **state)
+{
+  (void)state;
+  const kg_gradcheck_report good = {.name = "good",
+                                    .passed = true,
+                                    .tolerance = 1e-7,
+                                    .max_relative_error = 1e-9,
+                                    .error_estimate = 1e-10,
+                                    .dot_test = 1e-16,
+                                    .taylor_order = 2,
+                                    .repeatable = true};
+  kg_gradcheck_report bad = good;
+  bad.passed = bad.repeatable = false;
+  bad.worst_input = 3;
+  bad.max_relative_error = bad.error_estimate = bad.dot_test = 1;
+  bad.taylor_order = 1;
+  for (int nan = 0; nan < 2; ++nan) {
+    if (nan) bad.max_relative_error = bad.dot_test = NAN;
+    for (int order = 0; order < 2; ++order) {
+      kg_gradcheck_report sum = order ? bad : good;
+      sum.name = "sum";
+      kg_gradcheck_merge(&sum, order ? &good : &bad);
+      assert_string_equal(sum.name, "sum");
+      assert_true(!sum.passed && !sum.repeatable && sum.worst_input == 3);
+      assert_true(nan ? isnan(sum.max_relative_error) : sum.max_relative_error == 1);
+      assert_true(nan ? isnan(sum.dot_test) : sum.dot_test == 1);
+      assert_true(sum.taylor_order == 1 && sum.error_estimate == 1 && !sum.undecided);
+    }
+  }
 }
 
 static void memory_that_is_refused_is_reported(void **state)
@@ -517,6 +663,26 @@ static void recorded_functions_are_checked(void **state)
                      KG_OK);
     if (!lost) expect_pass(&r);
     assert_true(r.passed == !lost);
+  }
+}
+
+static kg_value with_offset(kg_tape *tape, kg_value x, void *user)
+{
+  return kg_shift(tape, recorded_function(tape, x, user), 1e-9);
+}
+
+static void a_reference_must_have_the_values_too(void **state)
+{
+  (void)state;
+  const double x[3] = {0.1, 0.7, -2};
+  bool user = false;
+  kg_gradcheck_report r;
+  for (int other = 0; other < 2; ++other) {
+    const kg_gradcheck_truth truth = {other ? with_offset : recorded_function, x};
+    assert_int_equal(kg_gradcheck_against("x sin x", recorded_function, &user, KG_SHAPE(3), x,
+                                          &truth, NULL, &r, NULL),
+                     KG_OK);
+    assert_true(r.passed == !other);
   }
 }
 
@@ -604,19 +770,25 @@ int main(void)
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(right_derivatives_pass),
     cmocka_unit_test(each_fault_is_found),
+    cmocka_unit_test(a_wrong_jvp_is_found_entry_by_entry),
+    cmocka_unit_test(an_offset_hides_nothing),
+    cmocka_unit_test(rounding_in_a_zero_entry_passes),
     cmocka_unit_test(taylor_order_tells_a_wrong_derivative_alone),
     cmocka_unit_test(small_entries_count_beside_large_ones),
     cmocka_unit_test(badly_scaled_inputs_raise_no_alarm),
     cmocka_unit_test(linear_constant_and_zero_functions_pass),
     cmocka_unit_test(zero_gradients_pass_and_are_not_a_licence),
     cmocka_unit_test(steps_stay_inside_the_domain),
+    cmocka_unit_test(differences_are_extrapolated),
     cmocka_unit_test(what_cannot_be_decided_is_said_to_be_so),
     cmocka_unit_test(narrow_features_are_not_skipped),
     cmocka_unit_test(leftovers_of_other_points_are_found),
     cmocka_unit_test(values_that_are_not_numbers_fail),
+    cmocka_unit_test(of_two_reports_the_worse_is_kept),
     cmocka_unit_test(memory_that_is_refused_is_reported),
     cmocka_unit_test(rows_of_the_table_line_up),
     cmocka_unit_test(recorded_functions_are_checked),
+    cmocka_unit_test(a_reference_must_have_the_values_too),
     cmocka_unit_test(primitives_are_checked_at_their_samples),
     cmocka_unit_test(refused_recordings_say_why),
   };
