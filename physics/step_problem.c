@@ -1,0 +1,268 @@
+/* The equation of one backward Euler step: contacts, residual and exact Jacobian.
+ *
+ * Equation numbers: docs/theory/dynamics.md for (1) to (19), docs/theory/contact.md where "contact"
+ * is written before the number. */
+#include "physics/step_problem.h"
+
+#include "physics/physics.h"
+#include "physics/rows.h"
+
+#include <string.h>
+
+/* kg m^2: keeps the scale finite for a joint that moves nothing. */
+static const double SMALLEST_INERTIA = 1e-12;
+
+/* ---- points ------------------------------------------------------------------------------------*/
+
+/* Ball around the points of a group: centre of their bounding box, not the smallest ball. */
+static void bound_group(point_group *g, const int *order, const kg_body *body)
+{
+  kg_vec3 low = {INFINITY, INFINITY, INFINITY}, high = {-INFINITY, -INFINITY, -INFINITY};
+  for (int k = g->first; k < g->first + g->count; k++) {
+    const kg_vec3 p = body->points[order[k]].p;
+    low = kg_vec3_make(fmin(low.x, p.x), fmin(low.y, p.y), fmin(low.z, p.z));
+    high = kg_vec3_make(fmax(high.x, p.x), fmax(high.y, p.y), fmax(high.z, p.z));
+  }
+  g->centre = kg_vec3_lerp(low, high, 0.5);
+  for (int k = g->first; k < g->first + g->count; k++) {
+    const kg_vec3 arm = kg_vec3_sub(body->points[order[k]].p, g->centre);
+    g->radius = fmax(g->radius, kg_vec3_norm(arm));
+  }
+}
+
+void kg_step_group_points(kg_step *s)
+{
+  const kg_body *body = s->def.body;
+  int placed = 0;
+  for (int i = 0; i < body->segment_count; i++) {
+    point_group *g = &s->groups[i];
+    g->first = placed;
+    for (int k = 0; k < body->point_count; k++) {
+      if (body->points[k].segment == i) {
+        s->order[placed++] = k;
+      }
+    }
+    g->count = placed - g->first;
+    if (g->count > 0) {
+      bound_group(g, s->order, body);
+    }
+  }
+}
+
+/* ---- contact ----------------------------------------------------------------------------------*/
+
+/* velocity of the point x (relative to O) of a segment */
+static kg_vec3 point_velocity(const kg_link *l, kg_vec3 x)
+{
+  return kg_vec3_add(l->p_dot, kg_vec3_cross(l->w, kg_vec3_sub(x, l->p)));
+}
+
+static void collide_group(kg_step *s, int i)
+{
+  const kg_body *body = s->def.body;
+  const kg_vec3 O = s->dynamics->origin;
+  const point_group *g = &s->groups[i];
+  kg_link *l = &s->dynamics->links[i];
+  for (int k = g->first; k < g->first + g->count; k++) {
+    const int point = s->order[k];
+    const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, body->points[point].p));
+    kg_step_contact *c = &s->contacts[s->contact_count];
+    c->x = kg_vec3_add(O, x);
+    if (kg_contact_evaluate(&s->contact, s->def.scene, c->x, point_velocity(l, x), false,
+                            &c->force)) {
+      c->point = point;
+      s->contact_count++;
+      l->external.n = kg_vec3_add(l->external.n, kg_vec3_cross(x, c->force.f));
+      l->external.f = kg_vec3_add(l->external.f, c->force.f);
+    }
+  }
+}
+
+/* Contact list and external forces of the links at their pose and velocity. */
+static void collide(kg_step *s)
+{
+  s->contact_count = 0;
+  for (int i = 0; i < s->dynamics->n; i++) {
+    const point_group *g = &s->groups[i];
+    kg_link *l = &s->dynamics->links[i];
+    l->external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+    if (g->count == 0 || !s->def.scene) {
+      continue;
+    }
+    const kg_vec3 centre = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, g->centre));
+    const kg_sdf_value far =
+      kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
+    /* Phi changes by no more than the distance moved */
+    if (!(far.distance > g->radius + s->contact.layer)) {
+      collide_group(s, i);
+    }
+  }
+}
+
+static void add_mat3(kg_mat3 *A, double s, kg_mat3 B)
+{
+  for (int k = 0; k < 9; k++) {
+    A->m[k] += s * B.m[k];
+  }
+}
+
+/* K += P' A P with P = [-[x] 1]: the change of the wrench by A for a change of the point */
+static void add_congruent(kg_mat66 *K, kg_mat3 A, kg_mat3 X)
+{
+  const kg_mat3 XA = kg_mat3_mul(X, A), AX = kg_mat3_mul(A, X);
+  add_mat3(&K->ww, -1.0, kg_mat3_mul(XA, X));
+  add_mat3(&K->wv, 1.0, XA);
+  add_mat3(&K->vw, -1.0, AX);
+  add_mat3(&K->vv, 1.0, A);
+}
+
+/* K and D of a segment gain a contact (contact (9) to (11)). */
+static void linearize_contact(kg_step *s, kg_step_contact *c)
+{
+  const int segment = s->def.body->points[c->point].segment;
+  const kg_link *l = &s->dynamics->links[segment];
+  kg_composite *sum = &s->dynamics->sum[segment + 1];
+  const kg_vec3 x = kg_vec3_sub(c->x, s->dynamics->origin);
+  const kg_vec3 u = point_velocity(l, x);
+  (void)kg_contact_evaluate(&s->contact, s->def.scene, c->x, u, true, &c->force);
+  if (!sum->loaded) {
+    memset(&sum->K, 0, sizeof sum->K);
+    memset(&sum->D, 0, sizeof sum->D);
+    sum->loaded = true;
+    sum->external = l->external;
+  }
+  const kg_mat3 X = kg_mat3_skew(x), F = kg_mat3_skew(c->force.f);
+  add_congruent(&sum->K, c->force.df_dx, X);
+  /* turning the body turns u: df_du (theta x u) */
+  const kg_mat3 turned = kg_mat3_mul(c->force.df_du, kg_mat3_skew(u));
+  add_mat3(&sum->K.ww, -1.0, kg_mat3_mul(X, turned));
+  add_mat3(&sum->K.vw, -1.0, turned);
+  /* moving the point moves the arm of f: dx x f */
+  add_mat3(&sum->K.ww, 1.0, kg_mat3_mul(F, X));
+  add_mat3(&sum->K.wv, -1.0, F);
+  add_congruent(&sum->D, c->force.df_du, X);
+}
+
+/* ---- residual and Jacobian --------------------------------------------------------------------*/
+
+void kg_step_set_problem(kg_step *s, const double *q, const double *v, const double *tau, double dt)
+{
+  s->q = q;
+  s->v = v;
+  s->tau = tau;
+  s->dt = dt;
+  s->evaluated = false;
+}
+
+/* diag(M(q))^-1/2 dt */
+void kg_step_set_scale(kg_step *s)
+{
+  kg_links_pose(s->dynamics, s->q);
+  kg_links_mass_diagonal(s->dynamics, s->scale);
+  for (int k = 0; k < s->def.body->nv; k++) {
+    s->scale[k] = s->dt / sqrt(fmax(s->scale[k], SMALLEST_INERTIA));
+  }
+}
+
+/* (17) G(v') */
+bool kg_step_evaluate(double *G, const double *v_end, void *user)
+{
+  kg_step *s = user;
+  const kg_body *body = s->def.body;
+  kg_dynamics *d = s->dynamics;
+  for (int k = 0; k < body->nv; k++) {
+    s->v_end[k] = v_end[k];
+    G[k] = s->dt * v_end[k];
+    s->a[k] = (v_end[k] - s->v[k]) / s->dt;
+  }
+  s->evaluated = true;
+  kg_body_integrate(body, s->q_end, s->q, G);
+  kg_links_pose(d, s->q_end);
+  kg_links_velocity(d, v_end);
+  kg_links_acceleration(d, v_end, s->a);
+  kg_links_inertial(d);
+  collide(s);
+  kg_links_project(d, G);
+  for (int k = 0; k < body->nv && s->tau; k++) {
+    G[k] -= s->tau[k];
+  }
+  for (int k = 6; k < body->nv; k++) {
+    G[k] += s->def.joint_damping * v_end[k];
+  }
+  return true;
+}
+
+static kg_mat63 times(const kg_mat63 *A, const kg_mat3 *E)
+{
+  const rows3 e = load_rows(E);
+  kg_mat63 C = {{{0.0}}, {{0.0}}};
+  for (int i = 0; i < 9; i += 3) {
+    add_row(C.w.m + i, A->w.m[i], A->w.m[i + 1], A->w.m[i + 2], &e);
+    add_row(C.v.m + i, A->v.m[i], A->v.m[i + 1], A->v.m[i + 2], &e);
+  }
+  return C;
+}
+
+/* A += s B */
+static void add63(kg_mat63 *A, double s, const kg_mat63 *B)
+{
+  add_mat3(&A->w, s, B->w);
+  add_mat3(&A->v, s, B->v);
+}
+
+/* (18) the pencil of v': the pose moves by dt Jr(dt w), the acceleration by 1/dt */
+static void make_pencil(kg_step *s)
+{
+  kg_dynamics *d = s->dynamics;
+  for (int b = 0; b <= d->n; b++) {
+    kg_pencil *p = &d->pencil[b];
+    const kg_vec3 turn = kg_vec3_scale(s->dt, kg_load3(s->v_end + 3 * b));
+    const kg_mat3 E =
+      kg_mat3_scale(s->dt, b == 0 ? kg_mat3_identity() : kg_so3_right_jacobian(turn));
+    p->T = times(&d->S[b], &E);
+    p->U = times(&d->psi[b], &E);
+    p->W = times(&d->psi_dot[b], &E);
+    add63(&p->U, 1.0, &d->S[b]);
+    add63(&p->W, 1.0, &d->psi[b]);
+    add63(&p->W, 1.0, &d->S_dot[b]);
+    add63(&p->W, 1.0 / s->dt, &d->S[b]);
+  }
+}
+
+/* dG/dv' at the point of the last call of residual */
+void kg_step_linearize(kg_step *s)
+{
+  kg_dynamics *d = s->dynamics;
+  kg_tree_clear_external(d);
+  for (int k = 0; k < s->contact_count; k++) {
+    linearize_contact(s, &s->contacts[k]);
+  }
+  kg_tree_prepare(d);
+  make_pencil(s);
+  kg_tree_jacobian(d, &s->J);
+  for (int b = 2; b <= d->n; b++) {
+    kg_mat3 *own = &s->J.low[d->tree.start[b] + d->tree.depth[b]];
+    for (int k = 0; k < 9; k += 4) {
+      own->m[k] += s->def.joint_damping;
+    }
+  }
+}
+
+/* The links are where Newton left them, unless it ended on a rejected point. */
+void kg_step_ensure_evaluated(kg_step *s, const double *x)
+{
+  const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
+  if (!s->evaluated || memcmp(x, s->v_end, bytes) != 0) {
+    (void)kg_step_evaluate(s->G, x, s);
+  }
+}
+
+/* |diag(M)^-1/2 G dt|, dynamics (19) */
+double kg_step_merit(const kg_step *s, const double *G)
+{
+  double sum = 0.0;
+  for (int k = 0; k < s->def.body->nv; k++) {
+    sum += s->scale[k] * G[k] * s->scale[k] * G[k];
+  }
+  return sqrt(sum);
+}

@@ -1,0 +1,62 @@
+/* Inside physics/: the equation of one backward Euler step, G(v') = 0, at a trial v' and its
+ * Jacobian. step.c solves it; step_problem.c assembles it.
+ *
+ * Equation numbers: docs/theory/dynamics.md. */
+#ifndef PHYSICS_STEP_PROBLEM_H
+#define PHYSICS_STEP_PROBLEM_H
+
+#include "kinegrad/step.h"
+
+#include "physics/tree.h"
+
+/* The points of one segment and a ball around them, to dismiss them all with one distance. */
+typedef struct point_group {
+  int first, count; /* in kg_step.order */
+  kg_vec3 centre;   /* in the segment frame */
+  double radius;
+} point_group;
+
+struct kg_step {
+  kg_step_def def;
+  kg_dynamics *dynamics;
+  kg_newton *newton;         /* to the tolerance                                     */
+  kg_newton *plain;          /* the same with few iterations: the first attempt      */
+  kg_newton *rough;          /* to ROUGH: stages of the continuation                  */
+  kg_contact_params contact; /* of the stage */
+  int *order;                /* points sorted by segment */
+  point_group *groups;
+  kg_step_contact *contacts;
+  int contact_count;
+  kg_tree_matrix J;
+  double *scale;     /* of the residual: diag(M)^-1/2 dt */
+  double *q_end, *a; /* at the last evaluated v'         */
+  double *v_end;     /* the v' the links were last evaluated at; only with evaluated */
+  bool evaluated;
+  double *G;                 /* of a repeated evaluation     */
+  double *x_start, *x_good;  /* the guess; last solution on the way to the hard law */
+  double *q_sub, *v_sub, *x; /* state inside a sequence of sub-steps, unknowns */
+  /* the step being solved */
+  const double *q, *v, *tau;
+  double dt;
+  kg_arena arena;
+};
+
+/* Sorts the body's points by segment and bounds every group, once. */
+void kg_step_group_points(kg_step *s);
+
+/* The step to be solved; the arrays are borrowed. */
+void kg_step_set_problem(kg_step *s, const double *q, const double *v, const double *tau,
+                         double dt);
+/* diag(M(q))^-1/2 dt */
+void kg_step_set_scale(kg_step *s);
+/* |diag(M)^-1/2 G dt|, (19) */
+double kg_step_merit(const kg_step *s, const double *G);
+
+/* G(v_end), (17), a kg_residual_fn: user is the step. Leaves links and contacts there. */
+bool kg_step_evaluate(double *G, const double *v_end, void *user);
+/* Evaluates at x unless that is where the links are. */
+void kg_step_ensure_evaluated(kg_step *s, const double *x);
+/* s->J = dG/dv', (18), at the point of the last evaluation. */
+void kg_step_linearize(kg_step *s);
+
+#endif
