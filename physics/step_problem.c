@@ -51,12 +51,6 @@ void kg_step_group_points(kg_step *s)
 
 /* ---- contact ----------------------------------------------------------------------------------*/
 
-/* velocity of the point x (relative to O) of a segment */
-static kg_vec3 point_velocity(const kg_link *l, kg_vec3 x)
-{
-  return kg_vec3_add(l->p_dot, kg_vec3_cross(l->w, kg_vec3_sub(x, l->p)));
-}
-
 static void collide_group(kg_step *s, int i)
 {
   const kg_body *body = s->def.body;
@@ -68,7 +62,7 @@ static void collide_group(kg_step *s, int i)
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, body->points[point].p));
     kg_step_contact *c = &s->contacts[s->contact_count];
     c->x = kg_vec3_add(O, x);
-    if (kg_contact_evaluate(&s->contact, s->def.scene, c->x, point_velocity(l, x), false,
+    if (kg_contact_evaluate(&s->contact, s->def.scene, c->x, kg_point_velocity(l, x), false,
                             &c->force)) {
       c->point = point;
       s->contact_count++;
@@ -123,7 +117,7 @@ static void linearize_contact(kg_step *s, kg_step_contact *c)
   const kg_link *l = &s->dynamics->links[segment];
   kg_composite *sum = &s->dynamics->sum[segment + 1];
   const kg_vec3 x = kg_vec3_sub(c->x, s->dynamics->origin);
-  const kg_vec3 u = point_velocity(l, x);
+  const kg_vec3 u = kg_point_velocity(l, x);
   (void)kg_contact_evaluate(&s->contact, s->def.scene, c->x, u, true, &c->force);
   if (!sum->loaded) {
     memset(&sum->K, 0, sizeof sum->K);
@@ -182,14 +176,20 @@ bool kg_step_evaluate(double *G, const double *v_end, void *user)
   kg_links_acceleration(d, v_end, s->a);
   kg_links_inertial(d);
   collide(s);
-  kg_links_project(d, G);
-  for (int k = 0; k < body->nv && s->tau; k++) {
+  kg_step_project(s, G);
+  return true;
+}
+
+/* G of the links' inertial and external forces */
+void kg_step_project(kg_step *s, double *G)
+{
+  kg_links_project(s->dynamics, G);
+  for (int k = 0; k < s->def.body->nv && s->tau; k++) {
     G[k] -= s->tau[k];
   }
-  for (int k = 6; k < body->nv; k++) {
-    G[k] += s->def.joint_damping * v_end[k];
+  for (int k = 6; k < s->def.body->nv; k++) {
+    G[k] += s->def.joint_damping * s->v_end[k];
   }
-  return true;
 }
 
 static kg_mat63 times(const kg_mat63 *A, const kg_mat3 *E)
@@ -237,6 +237,13 @@ void kg_step_linearize(kg_step *s)
   for (int k = 0; k < s->contact_count; k++) {
     linearize_contact(s, &s->contacts[k]);
   }
+  kg_step_assemble(s);
+}
+
+/* s->J from the links and from what the segments' sums hold of external forces */
+void kg_step_assemble(kg_step *s)
+{
+  kg_dynamics *d = s->dynamics;
   kg_tree_prepare(d);
   make_pencil(s);
   kg_tree_jacobian(d, &s->J);

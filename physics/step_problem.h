@@ -56,7 +56,17 @@ double kg_step_merit(const kg_step *s, const double *G);
 bool kg_step_evaluate(double *G, const double *v_end, void *user);
 /* Evaluates at x unless that is where the links are. */
 void kg_step_ensure_evaluated(kg_step *s, const double *x);
+/* The same at the point of the last evaluation for whatever external forces the links now have. */
+void kg_step_project(kg_step *s, double *G);
 /* s->J = dG/dv', (18), at the point of the last evaluation. */
 void kg_step_linearize(kg_step *s);
+/* The same with whatever external forces, K and D the segments' sums now have (kg_tree_prepare). */
+void kg_step_assemble(kg_step *s);
+
+/* Velocity of the point x (relative to O) of a segment. */
+static inline kg_vec3 kg_point_velocity(const kg_link *l, kg_vec3 x)
+{
+  return kg_vec3_add(l->p_dot, kg_vec3_cross(l->w, kg_vec3_sub(x, l->p)));
+}
 
 #endif
