@@ -469,14 +469,15 @@ void kg_tree_jacobian(const kg_dynamics *d, kg_tree_matrix *A)
     make_row(&row, c, &d->S[b]);
     const kg_mat63 X = column_force(c, &d->pencil[b]);
     for (int k = 0; k <= depth; k++) {
-      A->low[start + k] = row_block(&row, c->loaded, &d->pencil[tree->path[start + k]]);
+      const kg_mat3 block = row_block(&row, c->loaded, &d->pencil[tree->path[start + k]]);
+      kg_tree_set_low(tree, A, b, k, &block);
     }
     for (int k = 0; k < depth; k++) {
       const kg_mat63 *S = &d->S[tree->path[start + k]];
       kg_mat3 block = {{0.0}};
       add_tmul(&block, &S->w, &X.w);
       add_tmul(&block, &S->v, &X.v);
-      A->up[start + k] = block;
+      kg_tree_set_up(tree, A, b, k, &block);
     }
   }
 }
@@ -501,18 +502,20 @@ static void mass_matrix(const kg_dynamics *d, kg_tree_matrix *A)
   const kg_tree *tree = &d->tree;
   for (int b = 0; b < tree->blocks; b++) {
     const kg_mat63 Q = inertia_mul(&d->sum[b].I, &d->S[b]);
-    for (int e = tree->start[b]; e <= tree->start[b] + tree->depth[b]; e++) {
-      const kg_mat63 *S = &d->S[tree->path[e]];
+    for (int k = 0; k <= tree->depth[b]; k++) {
+      const kg_mat63 *S = &d->S[tree->path[tree->start[b] + k]];
       kg_mat3 block = {{0.0}};
       add_tmul(&block, &Q.w, &S->w);
       add_tmul(&block, &Q.v, &S->v);
-      A->low[e] = block;
-      A->up[e] = kg_mat3_transposed(block);
+      if (k == tree->depth[b]) { /* symmetric but for rounding */
+        block.m[3] = block.m[1];
+        block.m[6] = block.m[2];
+        block.m[7] = block.m[5];
+      }
+      const kg_mat3 mirrored = kg_mat3_transposed(block);
+      kg_tree_set_low(tree, A, b, k, &block);
+      kg_tree_set_up(tree, A, b, k, &mirrored);
     }
-    kg_mat3 *own = &A->low[tree->start[b] + tree->depth[b]]; /* symmetric but for rounding */
-    own->m[3] = own->m[1];
-    own->m[6] = own->m[2];
-    own->m[7] = own->m[5];
   }
 }
 

@@ -247,11 +247,9 @@ void kg_step_assemble(kg_step *s)
   kg_tree_prepare(d);
   make_pencil(s);
   kg_tree_jacobian(d, &s->J);
+  const kg_mat3 one = kg_mat3_identity();
   for (int b = 2; b <= d->n; b++) {
-    kg_mat3 *own = &s->J.low[d->tree.start[b] + d->tree.depth[b]];
-    for (int k = 0; k < 9; k += 4) {
-      own->m[k] += s->def.joint_damping;
-    }
+    kg_tree_add_diagonal(&d->tree, &s->J, b, s->def.joint_damping, &one);
   }
 }
 

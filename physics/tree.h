@@ -11,23 +11,45 @@
 #include "kinegrad/dynamics.h"
 #include "kinegrad/spatial.h"
 
+typedef struct kg_physics_kernels kg_physics_kernels;
+
 typedef struct kg_tree {
-  int blocks;  /* n + 1                                                                        */
-  int entries; /* blocks on and below the diagonal                                             */
-  int *depth;  /* proper ancestors of a block                                                  */
-  int *start;  /* row b of the lower triangle is entries start[b] .. start[b] + depth[b]       */
-  int *path;   /* path[start[b] + k]: k-th block on the way from the root to b, b itself last  */
+  int blocks;   /* n + 1                                                                        */
+  int entries;  /* blocks on and below the diagonal                                             */
+  int *depth;   /* proper ancestors of a block                                                  */
+  int *start;   /* path of block b: path[start[b]] .. path[start[b] + depth[b]]                 */
+  int *path;    /* from the root to b, b itself last                                            */
+  int *width;   /* of one row of the panels of a block, a multiple of 8                         */
+  int *panel;   /* where the panels of a block begin                                            */
+  int size;     /* numbers in all panels of one kind                                            */
+  double *work; /* 24 * blocks: scratch of the solves                                          */
+  const kg_physics_kernels *kernels;
 } kg_tree;
 
-/* A[b, path[e]] = low[e] and A[path[e], b] = up[e] for every entry e of row b; the diagonal block
- * is low[start[b] + depth[b]]. */
+/* Two panels of three rows for every block b, with the blocks of its path side by side, 3 columns
+ * for each: low holds A[b, path], the diagonal block included; up holds A[path, b]' . What lies
+ * behind the path in a row is padding of any value. Number (r, c) of
+ *   A[b, path[start[b] + k]] is low[panel[b] + r * width[b] + 3 * k + c],
+ *   A[path[start[b] + k], b] is  up[panel[b] + c * width[b] + 3 * k + r]. */
 typedef struct kg_tree_matrix {
-  kg_mat3 *low, *up;
+  double *low, *up;
 } kg_tree_matrix;
+
+/* Columns that kg_tree_solve_many takes at a time. */
+enum { KG_TREE_STRIP = 32 };
 
 /* Both take their memory from the arena; check kg_arena_failed afterwards. */
 void kg_tree_init(kg_tree *tree, const kg_body *body, kg_arena *arena);
 void kg_tree_matrix_init(kg_tree_matrix *A, const kg_tree *tree, kg_arena *arena);
+
+/* The k-th block of row b of the lower triangle, and its mirror image A[path[k], b] (k < depth). */
+kg_mat3 kg_tree_low(const kg_tree *tree, const kg_tree_matrix *A, int b, int k);
+kg_mat3 kg_tree_up(const kg_tree *tree, const kg_tree_matrix *A, int b, int k);
+void kg_tree_set_low(const kg_tree *tree, kg_tree_matrix *A, int b, int k, const kg_mat3 *block);
+void kg_tree_set_up(const kg_tree *tree, kg_tree_matrix *A, int b, int k, const kg_mat3 *block);
+/* A[b, b] += s block */
+void kg_tree_add_diagonal(const kg_tree *tree, kg_tree_matrix *A, int b, double s,
+                          const kg_mat3 *block);
 
 /* A = L U from the leaves to the root, in place, no fill-in; false when a pivot block is singular. */
 bool kg_tree_factor(const kg_tree *tree, kg_tree_matrix *A);
@@ -35,6 +57,10 @@ bool kg_tree_factor(const kg_tree *tree, kg_tree_matrix *A);
 void kg_tree_solve(const kg_tree *tree, const kg_tree_matrix *A, double *x);
 /* x := A^-T x with the factors. */
 void kg_tree_solve_transposed(const kg_tree *tree, const kg_tree_matrix *A, double *x);
+/* X := A^-1 X and X := A^-T X for X (3 * blocks, columns) row-major. */
+void kg_tree_solve_many(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns);
+void kg_tree_solve_transposed_many(const kg_tree *tree, const kg_tree_matrix *A, double *X,
+                                   int columns);
 /* out[nv*nv] row-major, zeros outside the pattern. */
 void kg_tree_to_dense(const kg_tree *tree, const kg_tree_matrix *A, double *out);
 

@@ -3,6 +3,7 @@
 #include "fixture_body.h"
 
 #include "kinegrad/spatial.h"
+#include "physics/kernels/kernels.h"
 #include "physics/tree.h"
 
 #include <stdio.h>
@@ -360,6 +361,23 @@ static void integrate_and_difference_are_inverse(void **state)
   kg_body_destroy(body);
 }
 
+/* Pivots inside a diagonal block may vanish, blocks not: leaves need an exchange of rows. */
+static void fill_tree_matrix(kg_random *random, const kg_tree *tree, kg_tree_matrix *A)
+{
+  for (int k = 0; k < tree->size; k++) {
+    A->low[k] = kg_random_normal(random);
+    A->up[k] = kg_random_normal(random);
+  }
+  for (int b = 0; b < tree->blocks; b++) {
+    kg_mat3 D = kg_mat3_scale(0.1, kg_tree_low(tree, A, b, tree->depth[b]));
+    D.m[1] += 20.0;
+    D.m[5] -= 20.0;
+    D.m[6] += 20.0;
+    D.m[0] = 0.0;
+    kg_tree_set_low(tree, A, b, tree->depth[b], &D);
+  }
+}
+
 /* The tree's LU, plain and transposed, against LAPACK on random matrices of the tree's pattern. */
 static void tree_factors_solve_like_lapack(void **state)
 {
@@ -374,20 +392,7 @@ static void tree_factors_solve_like_lapack(void **state)
     kg_tree_matrix A;
     kg_tree_init(&tree, body, &arena);
     kg_tree_matrix_init(&A, &tree, &arena);
-    for (int e = 0; e < tree.entries; e++) {
-      for (int k = 0; k < 9; k++) {
-        A.low[e].m[k] = kg_random_normal(&random);
-        A.up[e].m[k] = kg_random_normal(&random);
-      }
-    }
-    for (int b = 0; b < tree.blocks; b++) { /* pivots inside a block may vanish, blocks not */
-      kg_mat3 *D = &A.low[tree.start[b] + tree.depth[b]];
-      *D = kg_mat3_scale(0.1, *D);
-      D->m[1] += 20.0;
-      D->m[5] -= 20.0;
-      D->m[6] += 20.0;
-      D->m[0] = 0.0; /* a leaf cannot be eliminated without exchanging rows */
-    }
+    fill_tree_matrix(&random, &tree, &A);
     static double dense[MAX_NV * MAX_NV], columns[MAX_NV * MAX_NV];
     kg_tree_to_dense(&tree, &A, dense);
     double b[MAX_NV], x[MAX_NV], y[MAX_NV], x_lapack[MAX_NV], y_lapack[MAX_NV];
@@ -416,8 +421,70 @@ static void tree_factors_solve_like_lapack(void **state)
     assert_int_equal(info, 0);
     assert_at_most(largest_difference(x, x_lapack, nv), 1e-11 * fmax(1.0, largest(x, nv)));
     assert_at_most(largest_difference(y, y_lapack, nv), 1e-11 * fmax(1.0, largest(y, nv)));
-    memset(A.low, 0, (size_t)tree.entries * sizeof *A.low);
+    memset(A.low, 0, (size_t)tree.size * sizeof *A.low);
     assert_false(kg_tree_factor(&tree, &A)); /* singular is said */
+    kg_arena_release(&arena);
+    kg_body_destroy(body);
+  }
+}
+
+/* Many right-hand sides against one at a time; every instruction set gives the same bits. */
+static void many_right_hand_sides_are_each_their_own(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(20);
+  static const int counts[] = {1, 7, 8, 40, 75};
+  for (int trial = 0; trial < 12; trial++) {
+    kg_body *body = random_tree(&random, 1 + 2 * trial, NULL);
+    const int nv = body->nv;
+    kg_arena arena;
+    kg_arena_init(&arena, NULL);
+    kg_tree tree;
+    kg_tree_matrix A, B;
+    kg_tree_init(&tree, body, &arena);
+    kg_tree_matrix_init(&A, &tree, &arena);
+    kg_tree_matrix_init(&B, &tree, &arena);
+    fill_tree_matrix(&random, &tree, &A);
+    const size_t bytes = (size_t)tree.size * sizeof *A.low;
+    memcpy(B.low, A.low, bytes);
+    memcpy(B.up, A.up, bytes);
+    tree.kernels = kg_physics_kernels_of_level(1);
+    assert_true(kg_tree_factor(&tree, &A));
+    for (int level = 1; level <= 3; level++) {
+      if (!kg_physics_kernels_of_level(level)) {
+        print_message("no kernels of level %d here\n", level);
+        continue;
+      }
+      tree.kernels = kg_physics_kernels_of_level(level);
+      kg_tree_matrix C;
+      kg_tree_matrix_init(&C, &tree, &arena);
+      memcpy(C.low, B.low, bytes);
+      memcpy(C.up, B.up, bytes);
+      assert_true(kg_tree_factor(&tree, &C));
+      assert_memory_equal(C.low, A.low, bytes);
+      assert_memory_equal(C.up, A.up, bytes);
+      const int m = counts[trial % 5];
+      static double X[MAX_NV * 80], Y[MAX_NV * 80];
+      double x[MAX_NV], y[MAX_NV];
+      for (int k = 0; k < nv * m; k++) {
+        X[k] = Y[k] = kg_random_normal(&random);
+      }
+      static double start[MAX_NV * 80];
+      memcpy(start, X, sizeof start);
+      kg_tree_solve_many(&tree, &C, X, m);
+      kg_tree_solve_transposed_many(&tree, &C, Y, m);
+      for (int j = 0; j < m; j++) {
+        for (int k = 0; k < nv; k++) {
+          x[k] = y[k] = start[k * m + j];
+        }
+        kg_tree_solve(&tree, &C, x);
+        kg_tree_solve_transposed(&tree, &C, y);
+        for (int k = 0; k < nv; k++) {
+          assert_at_most(fabs(X[k * m + j] - x[k]), 1e-13 * fmax(1.0, largest(x, nv)));
+          assert_at_most(fabs(Y[k * m + j] - y[k]), 1e-13 * fmax(1.0, largest(y, nv)));
+        }
+      }
+    }
     kg_arena_release(&arena);
     kg_body_destroy(body);
   }
@@ -510,6 +577,7 @@ int main(void)
     cmocka_unit_test(power_is_the_rate_of_energy),
     cmocka_unit_test(integrate_and_difference_are_inverse),
     cmocka_unit_test(tree_factors_solve_like_lapack),
+    cmocka_unit_test(many_right_hand_sides_are_each_their_own),
     cmocka_unit_test(survives_every_allocation_failure),
     cmocka_unit_test(timings),
   };

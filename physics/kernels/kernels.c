@@ -1,0 +1,17 @@
+/* All kernels of physics/ for one instruction set (KG_ISA) and their table. */
+#include "physics/kernels/kernels.h"
+
+#include "physics/kernels/rows.h"
+
+#include "physics/kernels/factor.inc"
+
+#define KG_PASTE_(a, b) a##b
+#define KG_PASTE(a, b) KG_PASTE_(a, b)
+
+const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
+  .factor = factor,
+  .solve = solve,
+  .solve_transposed = solve_transposed,
+  .solve_many = solve_many,
+  .solve_transposed_many = solve_transposed_many,
+};
