@@ -125,6 +125,7 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   made.pencil = KG_ARENA_ARRAY(&arena, kg_pencil, n + 1);
   kg_tree_init(&made.tree, body, &arena);
   kg_tree_matrix_init(&made.A, &made.tree, &arena);
+  kg_chain_init(&made.chain, body, &arena);
   if (kg_arena_failed(&arena)) {
     kg_arena_release(&arena);
     return KG_ERR_NO_MEMORY;

@@ -11,6 +11,8 @@
 #include "kinegrad/dynamics.h"
 #include "kinegrad/spatial.h"
 
+#include "physics/chain.h"
+
 typedef struct kg_physics_kernels kg_physics_kernels;
 
 typedef struct kg_tree {
@@ -121,6 +123,7 @@ struct kg_dynamics {
   kg_pencil *pencil; /* blocks */
   kg_tree tree;
   kg_tree_matrix A; /* scratch of the public derivatives */
+  kg_chain chain;   /* motion and its adjoints, chain.h      */
   kg_arena arena;
 };
 

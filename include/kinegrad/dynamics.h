@@ -46,6 +46,23 @@ KG_API void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_
                                             double *M, double *tau, const double *q,
                                             const double *v, const double *a);
 
+/* Where a gradient by the numbers of a body goes; NULL: not wanted. The offset of the root is not
+ * used by the dynamics, its gradient stays. */
+typedef struct kg_body_gradient {
+  double *mass;    /* n                                                       */
+  double *com;     /* 3 n                                                     */
+  double *inertia; /* 6 n, order of kg_segment: xx yy zz xy xz yz             */
+  double *offset;  /* 3 n: lengths                                            */
+  double *points;  /* 3 point_count: in segment frames; only contacts move it */
+} kg_body_gradient;
+
+/* Gradient of lambda' ID(q, v, a), lambda held: adds to q_bar (tangent space), v_bar, a_bar [nv] and
+ * body_bar, each may be NULL. O(n), no matrix: docs/theory/dynamics.md, section 7. */
+KG_API void kg_dynamics_inverse_vjp(kg_dynamics *dynamics, double *q_bar, double *v_bar,
+                                    double *a_bar, const kg_body_gradient *body_bar,
+                                    const double *q, const double *v, const double *a,
+                                    const double *lambda);
+
 typedef struct kg_centroid {
   double mass;     /* kg                                             */
   kg_vec3 com;     /* world, m                                       */
