@@ -48,7 +48,7 @@ typedef struct kg_bench_pair {
 } kg_bench_pair;
 
 typedef struct kg_bench_setting {
-  const char *data_folder; /* NULL: synthetic data */
+  const char *data_folder; /* NULL: synthetic data; for some suites a file may stand in its place */
   int rounds;              /* >= 1                 */
 } kg_bench_setting;
 
@@ -77,6 +77,8 @@ typedef struct kg_bench_group {
 typedef struct kg_bench_suite {
   const char *name;
   const char *summary;
+  const char
+    *data; /* where its data lie when nothing is said; synthetic ones if that is not there */
   const kg_bench_group *groups;
   int group_count;
 } kg_bench_suite;

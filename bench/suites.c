@@ -1,18 +1,23 @@
 /* The suites, and how this program was built. */
 #include "bench/autodiff/cases.h"
 #include "bench/bench.h"
+#include "bench/dynamics/cases.h"
 
 static const kg_bench_group autodiff[] = {
-  {kg_bench_gmm_cases, BENCH_GMM_CASES},
-  {kg_bench_ba_cases, BENCH_BA_CASES},
-  {kg_bench_net_cases, BENCH_NET_CASES},
-  {kg_bench_lstm_cases, BENCH_LSTM_CASES},
+  {kg_bench_gmm_cases, BENCH_GMM_CASES},   {kg_bench_ba_cases, BENCH_BA_CASES},
+  {kg_bench_net_cases, BENCH_NET_CASES},   {kg_bench_lstm_cases, BENCH_LSTM_CASES},
   {kg_bench_hand_cases, BENCH_HAND_CASES},
 };
 
+static const kg_bench_group dynamics[] = {
+  {kg_bench_kernel_cases, BENCH_KERNEL_CASES},
+};
+
 const kg_bench_suite kg_bench_suites[] = {
-  {"autodiff", "gradients and Jacobians beside plain C and ADOL-C", autodiff,
+  {"autodiff", "gradients and Jacobians beside plain C and ADOL-C", "../shared/adbench", autodiff,
    KG_COUNT_OF(autodiff)},
+  {"dynamics", "kinematics and dynamics of a body beside MuJoCo", "../shared/data", dynamics,
+   KG_COUNT_OF(dynamics)},
 };
 const int kg_bench_suite_count = (int)KG_COUNT_OF(kg_bench_suites);
 

@@ -11,8 +11,6 @@
 #include "cli/progress.h"
 #include "cli/reading.h"
 
-#define DEFAULT_FOLDER "../shared/adbench"
-
 typedef struct bench_values {
   cli_talk talk;
   const char *data;
@@ -26,6 +24,7 @@ typedef struct bench_run {
   const kg_bench_suite *suite; /* NULL: all of them */
   const bench_values *values;
   kg_bench_setting setting;
+  const kg_bench_suite *data_of; /* the suite whose data the table named last */
   cli_progress progress;
   FILE *table;
   json_t *cases;
@@ -35,7 +34,7 @@ typedef struct bench_run {
 
 /* ---- which cases ----------------------------------------------------------------------------- */
 
-typedef int visit_fn(bench_run *s, const kg_bench_case *of);
+typedef int visit_fn(bench_run *s, const kg_bench_suite *suite, const kg_bench_case *of);
 
 /* Calls visit for each chosen case until one does not return CLI_GOOD. */
 static int each_case(bench_run *s, visit_fn *visit)
@@ -47,15 +46,16 @@ static int each_case(bench_run *s, visit_fn *visit)
       for (int k = 0; k < suite->groups[g].count && code == CLI_GOOD; k++) {
         const kg_bench_case *of = &suite->groups[g].cases[k];
         const char *filter = s->values->filter;
-        code = !filter || strstr(of->name, filter) ? visit(s, of) : CLI_GOOD;
+        code = !filter || strstr(of->name, filter) ? visit(s, suite, of) : CLI_GOOD;
       }
     }
   }
   return code;
 }
 
-static int count_case(bench_run *s, const kg_bench_case *of)
+static int count_case(bench_run *s, const kg_bench_suite *suite, const kg_bench_case *of)
 {
+  (void)suite;
   (void)of;
   s->count++;
   return CLI_GOOD;
@@ -98,11 +98,20 @@ static void print_head(const bench_run *s)
   for (int i = 0; kg_bench_build[i]; i++) {
     fprintf(s->table, "%s\n", kg_bench_build[i]);
   }
+}
+
+/* Once a suite. */
+static void print_data(bench_run *s, const kg_bench_suite *suite)
+{
+  if (s->data_of == suite) {
+    return;
+  }
+  s->data_of = suite;
   if (s->setting.data_folder) {
-    fprintf(s->table, "data         %s\n", s->setting.data_folder);
+    fprintf(s->table, "\n%s: data in %s\n", suite->name, s->setting.data_folder);
   } else {
-    fprintf(s->table, "data         synthetic: there is no %s and --data was not given\n",
-            DEFAULT_FOLDER);
+    fprintf(s->table, "\n%s: synthetic data, there is no %s and --data was not given\n",
+            suite->name, suite->data);
   }
 }
 
@@ -208,8 +217,17 @@ static void add_pair(json_t *cases, const kg_bench_result *result, int k)
 
 /* ---- the run --------------------------------------------------------------------------------- */
 
-static int run_case(bench_run *s, const kg_bench_case *of)
+static const char *data_of(const bench_values *values, const kg_bench_suite *suite)
 {
+  if (values->data) {
+    return values->data;
+  }
+  return access(suite->data, R_OK) == 0 ? suite->data : NULL;
+}
+
+static int run_case(bench_run *s, const kg_bench_suite *suite, const kg_bench_case *of)
+{
+  s->setting.data_folder = data_of(s->values, suite);
   if (!cli_progress_update((double)s->done / s->count, of->name, &s->progress)) {
     cli_progress_clear();
     cli_message("interrupted; nothing was written");
@@ -220,6 +238,7 @@ static int run_case(bench_run *s, const kg_bench_case *of)
   if (kg_bench_run(&result, of, &s->setting, &error) != KG_OK) {
     return cli_failed(&error);
   }
+  print_data(s, suite);
   print_case(s->table, &result);
   for (int k = 0; k < of->pair_count; k++) {
     add_pair(s->cases, &result, k);
@@ -254,14 +273,6 @@ static int run_suite(bench_run *s, cli_output *json, FILE *out)
   return code;
 }
 
-static const char *data_folder(const bench_values *values)
-{
-  if (values->data) {
-    return values->data;
-  }
-  return access(DEFAULT_FOLDER, R_OK) == 0 ? DEFAULT_FOLDER : NULL;
-}
-
 static int prepare(bench_run *s, const cli_operands *operands, cli_output **json)
 {
   if (operands->count > 0 && find_suite(&s->suite, operands->at[0]) != CLI_GOOD) {
@@ -279,7 +290,7 @@ static int run(const void *values_given, const cli_operands *operands, FILE *out
 {
   const bench_values *values = values_given;
   bench_run s = {.values = values, .agrees = true};
-  s.setting = (kg_bench_setting){.data_folder = data_folder(values), .rounds = values->rounds};
+  s.setting = (kg_bench_setting){.rounds = values->rounds};
   cli_output *json = NULL;
   int code = prepare(&s, operands, &json);
   if (code != CLI_GOOD) {
@@ -310,11 +321,13 @@ static const cli_option result_options[] = {
 static const cli_option run_options[] = {
   {.name = "data",
    .kind = CLI_PATH,
-   .value_name = "DIR",
-   .default_text = DEFAULT_FOLDER " if it is there, else synthetic data of the same sizes",
-   .summary = "folder of ADBench's data files",
-   .details = "gmm_d10_K25.txt, gmm_d20_K50.txt, gmm_d32_K25.txt, ba1.txt, ba5.txt. The table says "
-              "where each case's data come from.",
+   .value_name = "PATH",
+   .default_text = "../shared/adbench, ../shared/data if they are there, else synthetic data",
+   .summary = "where a suite's data lie",
+   .details = "autodiff: folder of ADBench's gmm_d10_K25.txt, gmm_d20_K50.txt, gmm_d32_K25.txt, "
+              "ba1.txt, ba5.txt. dynamics, step: a clip, or a folder with "
+              "gymnastics/cmu_49_02.bvh and gymnastics/snu_backflip.bvh. The table says where each "
+              "case's data come from.",
    .offset = offsetof(bench_values, data)},
   {.name = "rounds",
    .kind = CLI_INT,
@@ -345,7 +358,7 @@ static const bench_values defaults = {.rounds = 9};
 const cli_command cli_command_bench = {
   .name = "bench",
   .summary = "times beside those of other programs, ratios from one run",
-  .usage = "[autodiff] [options]",
+  .usage = "[autodiff|dynamics|step] [options]",
   .details =
     "Runs contestants side by side in one process and prints the medians of their times, the "
     "spread between the quartiles, the memory they took and the ratios, with compiler and flags. "

@@ -1,0 +1,23 @@
+/* Dynamics of a body from the definitions, for comparison: slow, dense, over complex numbers, so that
+ * an imaginary step gives derivatives to the last digits. Shares no code with physics/. */
+#ifndef BENCH_DYNAMICS_REFERENCE_H
+#define BENCH_DYNAMICS_REFERENCE_H
+
+#include "kinegrad/body.h"
+
+/* Gravity of all comparisons, m/s^2 along -Y. */
+static const double kg_bench_gravity = 9.8;
+
+/* tau[nv] = ID(q, v, a) */
+kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const double *q,
+                                     const double *v, const double *a);
+/* M[nv*nv], column k the inverse dynamics of a = e_k at rest without gravity. */
+kg_status kg_bench_reference_mass(const kg_body *body, double *M, const double *q);
+/* a[nv] = M^-1 (tau - ID(q, v, 0)), by Cholesky. */
+kg_status kg_bench_reference_forward(const kg_body *body, double *a, const double *q,
+                                     const double *v, const double *tau);
+/* dtau/dq in the tangent space (right perturbation), dtau/dv; nv*nv row-major. */
+kg_status kg_bench_reference_derivatives(const kg_body *body, double *dtau_dq, double *dtau_dv,
+                                         const double *q, const double *v, const double *a);
+
+#endif
