@@ -1,5 +1,5 @@
-/* The implicit step: Jacobian against differences and LAPACK, answers against Ceres, and physics:
- * flight, standing, sliding, sticking, energy. */
+/* The implicit step: Jacobian against differences, answers against LAPACK and Ceres, convergence,
+ * failures, bits, memory. What it does to bodies is in test_step_physics.c. */
 #include "fixture_body.h"
 
 #include "kinegrad/ceres.h"
@@ -189,50 +189,73 @@ static void polish_with_lapack(square_system *c, double *x)
   }
 }
 
+/* Ceres on the same equation from x. True when it ends on a solution; x is then that one. */
+static bool solve_with_ceres(square_system *c, double *x)
+{
+  kg_ceres_def ceres = kg_ceres_default_def(c->nv, c->nv);
+  ceres.residual = ceres_residual;
+  ceres.jacobian = ceres_jacobian;
+  ceres.user = c;
+  ceres.max_iterations = 400;
+  kg_ceres_report answer;
+  assert_int_equal(kg_ceres_minimize(&ceres, x, &answer), KG_OK);
+  return sqrt(2.0 * answer.cost) <= 1e-9;
+}
+
+/* Ceres starts cold, at the velocity of the start of the step. It minimises |G|^2, which has minima
+ * that are no solutions; from one of those it starts again beside our answer, where contact still
+ * has a say. */
 static void step_agrees_with_ceres_and_lapack(void **state)
 {
   (void)state;
+  static const char *const names[4] = {"flight", "standing", "sliding", "lying"};
+  enum { TRIALS = 6 };
   kg_random random = kg_random_make(32);
   kg_body *body = human_body();
   kg_scene scene = ground();
   kg_step_def def = kg_step_default_def(body);
   def.scene = &scene;
   def.joint_damping = 5.0;
+  def.tolerance = 1e-10; /* both answers must be that near to the solution */
   kg_step *s = step_of(&def);
-  double worst[2] = {0.0, 0.0};
-  for (int trial = 0; trial < 8; trial++) {
-    double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV], x[MAX_NV];
-    human_state(&random, body, trial % 4, q, v);
-    for (int k = 0; k < body->nv; k++) {
-      tau[k] = k < 6 ? 0.0 : 5.0 * kg_random_normal(&random);
+  for (int kind = 0; kind < 4; kind++) {
+    double worst[2] = {0.0, 0.0};
+    int cold = 0;
+    for (int trial = 0; trial < TRIALS; trial++) {
+      double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV], x[MAX_NV];
+      human_state(&random, body, kind, q, v);
+      for (int k = 0; k < body->nv; k++) {
+        tau[k] = k < 6 ? 0.0 : 5.0 * kg_random_normal(&random);
+      }
+      kg_step_report report;
+      kg_step_advance(s, q_next, v_next, q, v, tau, 0.01, false, &report);
+      assert_true(report.converged && report.substeps == 1);
+      assert_at_most(report.residual, def.tolerance);
+      assert_true((report.contact_count > 0) == (kind > 0));
+      square_system c = {.s = s, .q = q, .v = v, .tau = tau, .dt = 0.01, .nv = body->nv};
+      scale_rows(&c, body);
+      memcpy(x, v_next, sizeof x);
+      polish_with_lapack(&c, x);
+      worst[0] = fmax(worst[0], velocity_difference(&c, x, v_next));
+      memcpy(x, v, sizeof x);
+      const bool found = solve_with_ceres(&c, x);
+      cold += found;
+      if (!found) {
+        for (int k = 0; k < body->nv; k++) {
+          x[k] = v_next[k] + 1e-3 * kg_random_normal(&random);
+        }
+        assert_true(solve_with_ceres(&c, x));
+      }
+      worst[1] = fmax(worst[1], velocity_difference(&c, x, v_next));
     }
-    kg_step_report report;
-    kg_step_advance(s, q_next, v_next, q, v, tau, 0.01, false, &report);
-    assert_true(report.converged && report.substeps == 1);
-    assert_at_most(report.residual, 1e-8);
-    square_system c = {.s = s, .q = q, .v = v, .tau = tau, .dt = 0.01, .nv = body->nv};
-    scale_rows(&c, body);
-    memcpy(x, v_next, sizeof x);
-    polish_with_lapack(&c, x);
-    worst[0] = fmax(worst[0], velocity_difference(&c, x, v_next));
-    /* Ceres starts away from our answer, where contact still has a say */
-    for (int k = 0; k < body->nv; k++) {
-      x[k] = v_next[k] + 1e-3 * kg_random_normal(&random);
-    }
-    kg_ceres_def ceres = kg_ceres_default_def(body->nv, body->nv);
-    ceres.residual = ceres_residual;
-    ceres.jacobian = ceres_jacobian;
-    ceres.user = &c;
-    ceres.max_iterations = 500;
-    kg_ceres_report answer;
-    assert_int_equal(kg_ceres_minimize(&ceres, x, &answer), KG_OK);
-    assert_at_most(sqrt(2.0 * answer.cost), 1e-8);
-    worst[1] = fmax(worst[1], velocity_difference(&c, x, v_next));
+    print_message(
+      "%s: v' against LAPACK Newton %.1e, against Ceres %.1e kg^1/2 m/s; Ceres found it "
+      "cold in %d of %d\n",
+      names[kind], worst[0], worst[1], cold, TRIALS);
+    assert_at_most(worst[0], 1e-8);
+    assert_at_most(worst[1], 1e-8);
+    assert_true(cold >= (kind < 2 ? TRIALS : 2)); /* an answer that owes nothing to ours */
   }
-  print_message("v' against LAPACK Newton %.1e, against Ceres %.1e kg^1/2 m/s\n", worst[0],
-                worst[1]);
-  assert_at_most(worst[0], 1e-8);
-  assert_at_most(worst[1], 1e-8);
   kg_step_destroy(s);
   kg_body_destroy(body);
 }
@@ -473,240 +496,6 @@ static void same_input_gives_the_same_bits(void **state)
   kg_body_destroy(body);
 }
 
-/* ---- physics ----------------------------------------------------------------------------------*/
-
-typedef struct flight_error {
-  double linear, angular, energy;
-} flight_error;
-
-/* One second of free flight: change of momentum against gravity's impulse, and of energy. */
-static flight_error fly(const kg_body *body, const double *q0, const double *v0, int steps)
-{
-  kg_step_def def = kg_step_default_def(body);
-  kg_step *s = step_of(&def);
-  kg_dynamics *d = NULL;
-  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
-  double q[MAX_NQ], v[MAX_NV];
-  memcpy(q, q0, sizeof q);
-  memcpy(v, v0, sizeof v);
-  const kg_centroid before = kg_dynamics_centroid(d, q, v);
-  const double energy = kg_dynamics_energy(d, q, v);
-  for (int k = 0; k < steps; k++) {
-    kg_step_report report;
-    kg_step_advance(s, q, v, q, v, NULL, 1.0 / steps, false, &report);
-    assert_true(report.converged && report.substeps == 1);
-  }
-  const kg_centroid after = kg_dynamics_centroid(d, q, v);
-  kg_vec3 gained = kg_vec3_sub(after.com_dot, before.com_dot);
-  gained.y += 9.8;
-  const flight_error error = {body->mass * kg_vec3_norm(gained),
-                              kg_vec3_norm(kg_vec3_sub(after.L, before.L)),
-                              fabs(kg_dynamics_energy(d, q, v) - energy)};
-  kg_step_destroy(s);
-  kg_dynamics_destroy(d);
-  return error;
-}
-
-static void flight_keeps_momentum_to_first_order(void **state)
-{
-  (void)state;
-  kg_random random = kg_random_make(36);
-  kg_body *body = human_body();
-  double q[MAX_NQ] = {0.0}, v[MAX_NV] = {0.0};
-  rest_state(body, 2.0, q);
-  for (int k = 0; k < body->nv; k++) {
-    v[k] = (k < 6 ? 1.0 : 0.3) * kg_random_normal(&random);
-  }
-  flight_error last = {0.0, 0.0, 0.0};
-  for (int steps = 400; steps <= 1600; steps *= 2) {
-    const flight_error e = fly(body, q, v, steps);
-    print_message(
-      "flight, %4d steps of 1 s: linear %.2e kg m/s, angular %.2e kg m^2/s, energy %.2e J", steps,
-      e.linear, e.angular, e.energy);
-    if (steps > 400) {
-      const double order[3] = {log2(last.linear / e.linear), log2(last.angular / e.angular),
-                               log2(last.energy / e.energy)};
-      print_message(", orders %.3f %.3f %.3f", order[0], order[1], order[2]);
-      assert_at_most(fabs(order[0] - 1.0), 0.1);
-      assert_at_most(fabs(order[1] - 1.0), 0.1);
-      assert_at_most(fabs(order[2] - 1.0), 0.15);
-    }
-    print_message("\n");
-    last = e;
-  }
-  kg_body_destroy(body);
-  /* one rigid body whose origin is its centre of mass: nothing but gravity moves it */
-  kg_body *box = box_body(3.0, kg_vec3_make(0.1, 0.2, 0.3));
-  rest_state(box, 1.0, q);
-  for (int k = 0; k < 6; k++) {
-    v[k] = 2.0 * kg_random_normal(&random);
-  }
-  assert_at_most(fly(box, q, v, 100).linear, 1e-10);
-  kg_body_destroy(box);
-}
-
-/* Sum of the contact forces of a report. */
-static kg_vec3 total_force(const kg_step_report *report)
-{
-  kg_vec3 sum = {0.0, 0.0, 0.0};
-  for (int k = 0; k < report->contact_count; k++) {
-    sum = kg_vec3_add(sum, report->contacts[k].force.f);
-  }
-  return sum;
-}
-
-static void box_stands_still(void **state)
-{
-  (void)state;
-  kg_body *body = box_body(70.0, kg_vec3_make(0.15, 0.3, 0.1));
-  kg_scene scene = ground();
-  kg_step_def def = kg_step_default_def(body);
-  def.scene = &scene;
-  kg_step *s = step_of(&def);
-  double q[7], v[6] = {0.0};
-  rest_state(body, 0.303, q);
-  kg_step_report report;
-  for (int k = 0; k < 120; k++) { /* falls into place */
-    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
-    assert_true(report.converged);
-  }
-  const kg_vec3 start = kg_vec3_make(q[0], q[1], q[2]);
-  for (int k = 0; k < 600; k++) {
-    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
-    assert_true(report.converged);
-    assert_at_most(fabs(total_force(&report).y / (70.0 * 9.8) - 1.0), 1e-6);
-  }
-  assert_int_equal(report.contact_count, 4);
-  assert_at_most(kg_vec3_norm(kg_vec3_sub(kg_vec3_make(q[0], q[1], q[2]), start)), 1e-6);
-  for (int k = 0; k < 4; k++) { /* weight is carried outside the surface */
-    assert_true(report.contacts[k].force.distance > 0.0);
-  }
-  kg_step_destroy(s);
-  kg_body_destroy(body);
-}
-
-/* Joints held by springs from outside the step (explicit) and damping inside it (implicit). */
-static void human_stands_still(void **state)
-{
-  (void)state;
-  kg_body *body = human_body();
-  kg_scene scene = ground();
-  kg_step_def def = kg_step_default_def(body);
-  def.scene = &scene;
-  def.joint_damping = 50.0;
-  kg_step *s = step_of(&def);
-  kg_dynamics *d = NULL;
-  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
-  double q[MAX_NQ], v[MAX_NV] = {0.0}, tau[MAX_NV], rest[MAX_NQ], e[MAX_NV];
-  rest_state(body, human_root_height + 0.003, q);
-  rest_state(body, human_root_height + 0.003, rest);
-  kg_vec3 start = {0.0, 0.0, 0.0}, foot = {0.0, 0.0, 0.0};
-  const kg_body_point heel = body->points[0];
-  kg_step_report report;
-  double worst_weight = 0.0, worst_drift = 0.0, worst_slip = 0.0;
-  int iterations = 0;
-  for (int k = 0; k < 120 * 8; k++) {
-    kg_body_difference(body, e, rest, q);
-    for (int i = 0; i < body->nv; i++) {
-      tau[i] = i < 6 ? 0.0 : 1500.0 * e[i];
-    }
-    /* the soft sole lets the body sway; the ankles push against it */
-    const double sway = kg_dynamics_centroid(d, q, v).com_dot.z;
-    tau[3 + 3 * HUMAN_LEFT_ANKLE] += 200.0 * sway;
-    tau[3 + 3 * HUMAN_RIGHT_ANKLE] += 200.0 * sway;
-    kg_step_advance(s, q, v, q, v, tau, 1.0 / 120.0, false, &report);
-    assert_true(report.converged);
-    iterations += report.iterations;
-    const kg_vec3 com = kg_dynamics_centroid(d, q, NULL).com;
-    const kg_vec3 at = kg_dynamics_point(d, NULL, q, heel);
-    if (k == 120 * 3) { /* the springs have found their length */
-      start = com;
-      foot = at;
-    } else if (k > 120 * 3) {
-      worst_weight = fmax(worst_weight, fabs(total_force(&report).y / (body->mass * 9.8) - 1.0));
-      worst_drift = fmax(worst_drift, kg_vec3_norm(kg_vec3_sub(com, start)));
-      worst_slip = fmax(worst_slip, kg_vec3_norm(kg_vec3_sub(at, foot)));
-    }
-  }
-  print_message("human standing 5 s: weight to %.1e, centre of mass %.2e m, heel %.2e m, %.2f "
-                "iterations a step\n",
-                worst_weight, worst_drift, worst_slip, iterations / 960.0);
-  assert_at_most(worst_weight, 1e-6);
-  assert_at_most(worst_drift, 1e-3);
-  assert_at_most(worst_slip, 1e-3);
-  kg_dynamics_destroy(d);
-  kg_step_destroy(s);
-  kg_body_destroy(body);
-}
-
-static void sliding_block_decelerates_by_mu_g(void **state)
-{
-  (void)state;
-  kg_body *body = box_body(10.0, kg_vec3_make(0.2, 0.03, 0.2));
-  kg_scene scene = ground();
-  kg_step_def def = kg_step_default_def(body);
-  def.scene = &scene;
-  def.contact.friction = 0.5;
-  kg_step *s = step_of(&def);
-  double q[7], v[6] = {0.0};
-  rest_state(body, 0.033, q);
-  for (int k = 0; k < 240; k++) {
-    v[0] = v[2] = 0.0;
-    kg_step_advance(s, q, v, q, v, NULL, 0.005, false, NULL);
-  }
-  v[0] = 3.0;
-  v[2] = 4.0;
-  double speed[81];
-  for (int k = 0; k <= 80; k++) {
-    kg_step_report report;
-    speed[k] = hypot(v[0], v[2]);
-    kg_step_advance(s, q, v, q, v, NULL, 0.005, false, &report);
-    assert_true(report.converged);
-  }
-  const double slowing = (speed[40] - speed[80]) / (40 * 0.005);
-  print_message("sliding block: %.6f m/s^2, mu g = %.6f\n", slowing, 0.5 * 9.8);
-  assert_at_most(fabs(slowing / (0.5 * 9.8) - 1.0), 1e-3);
-  assert_close(v[2] / v[0], 4.0 / 3.0, 1e-3); /* straight on */
-  kg_step_destroy(s);
-  kg_body_destroy(body);
-}
-
-static void block_sticks_on_a_slope(void **state)
-{
-  (void)state;
-  kg_body *body = box_body(10.0, kg_vec3_make(0.2, 0.03, 0.2));
-  kg_step_def def = kg_step_default_def(body);
-  const double angle = atan(0.8 * def.contact.friction);
-  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(-sin(angle), cos(angle), 0.0));
-  def.scene = &scene;
-  kg_step *s = step_of(&def);
-  double q[7], v[6] = {0.0}, turn[6] = {0.0};
-  rest_state(body, 0.0, q);
-  turn[0] = -0.034 * sin(angle);
-  turn[1] = 0.034 * cos(angle);
-  turn[5] = angle;
-  kg_body_integrate(body, q, q, turn);
-  kg_step_report report;
-  for (int k = 0; k < 120; k++) {
-    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
-    assert_true(report.converged);
-  }
-  const kg_vec3 start = kg_vec3_make(q[0], q[1], q[2]);
-  for (int k = 0; k < 600; k++) {
-    kg_step_advance(s, q, v, q, v, NULL, 1.0 / 120.0, false, &report);
-    assert_true(report.converged);
-  }
-  const double drift = kg_vec3_norm(kg_vec3_sub(kg_vec3_make(q[0], q[1], q[2]), start));
-  /* 2 s - s^2 = 0.8 */
-  const double expected = 5.0 * def.contact.stick * (1.0 - sqrt(0.2));
-  print_message("slope at 80 %% of the cone, 5 s: drift %.3e m, the law says %.3e\n", drift,
-                expected);
-  assert_at_most(drift, 1e-3);
-  assert_at_most(fabs(drift - expected), 0.02 * expected);
-  kg_step_destroy(s);
-  kg_body_destroy(body);
-}
-
 /* ---- memory -----------------------------------------------------------------------------------*/
 
 static void survives_every_allocation_failure_and_then_allocates_nothing(void **state)
@@ -809,11 +598,6 @@ int main(void)
     cmocka_unit_test(contact_list_matches_brute_force),
     cmocka_unit_test(failure_is_reported_and_divided),
     cmocka_unit_test(same_input_gives_the_same_bits),
-    cmocka_unit_test(flight_keeps_momentum_to_first_order),
-    cmocka_unit_test(box_stands_still),
-    cmocka_unit_test(human_stands_still),
-    cmocka_unit_test(sliding_block_decelerates_by_mu_g),
-    cmocka_unit_test(block_sticks_on_a_slope),
     cmocka_unit_test(survives_every_allocation_failure_and_then_allocates_nothing),
     cmocka_unit_test(timings),
   };
