@@ -281,7 +281,7 @@ static kg_block *new_block(kg_tape *tape, const kg_recipe *recipe)
   char *saved = recipe->saved ? kg_arena_take(&tape->arena, recipe->saved * number, align) : NULL;
   if (kg_arena_failed(&tape->arena)) return NULL;
   kg_block *block = (kg_block *)memory;
-  *block = (kg_block){.kernel = recipe->kernel ? recipe->kernel : &tape->graph.kernels[recipe->op],
+  *block = (kg_block){.kernel = &tape->graph.kernels[recipe->op],
                       .shape = recipe->shape,
                       .count = recipe->count,
                       .input = (uint32_t *)(memory + head),

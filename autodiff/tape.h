@@ -31,7 +31,6 @@ typedef struct kg_recipe {
   bool attributes_taken;   /* attributes come from kg_take_attributes: not copied */
   size_t saved;            /* entries to keep between the sweeps */
   bool constant;           /* without derivative whatever the operands are */
-  const kg_kernel *kernel; /* NULL: that of op */
   const void
     *alias; /* the result's numbers when they are an operand's (reshape, slice), else NULL */
   const void *known; /* the result when it is known already, copied; NULL: evaluated */
