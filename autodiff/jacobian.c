@@ -204,10 +204,45 @@ static kg_status sweep_colours(kg_tape *tape, kg_value output, kg_value input,
   return KG_OK;
 }
 
-static bool colours_fit(const kg_sparse *pattern, const int32_t *colour, int colours)
+static bool refuse_colour(kg_tape *tape, int32_t column, int32_t colour, int colours)
+{
+  kg_refuse(tape, KG_ERR_SHAPE, "jacobian", "column %d has colour %d; there are %d, from 0",
+            (int)column, (int)colour, colours);
+  return false;
+}
+
+static bool refuse_pair(kg_tape *tape, int32_t row, int32_t one, int32_t other, int32_t colour)
+{
+  kg_refuse(tape, KG_ERR_SHAPE, "jacobian",
+            "columns %d and %d share colour %d, and both have an entry in row %d", (int)one,
+            (int)other, (int)colour, (int)row);
+  return false;
+}
+
+/* Every column has one of the colours, and no row meets one of them in two columns. Otherwise false,
+ * with the tape's error saying where. */
+static bool colours_fit(kg_tape *tape, const kg_sparse *pattern, const int32_t *colour, int colours)
 {
   for (int32_t j = 0; j < pattern->columns; ++j) {
-    if (colour[j] < 0 || colour[j] >= colours) return false;
+    if (colour[j] < 0 || colour[j] >= colours) return refuse_colour(tape, j, colour[j], colours);
+  }
+  kg_graph *graph = &tape->graph;
+  const size_t count = colours > 0 ? (size_t)colours : 0;
+  if (!kg_buffer_reserve(&graph->scratch, graph->allocator, 2 * count * sizeof(int32_t))) {
+    kg_refuse(tape, KG_ERR_NO_MEMORY, "jacobian", "no memory for %d colours", colours);
+    return false;
+  }
+  int32_t *row = graph->scratch.memory, *column = row + count; /* where a colour was met last */
+  for (size_t c = 0; c < count; ++c) {
+    row[c] = -1;
+  }
+  for (int32_t r = 0; r < pattern->rows; ++r) {
+    for (int32_t k = pattern->start[r]; k < pattern->start[r + 1]; ++k) {
+      const int32_t j = pattern->column[k], c = colour[j];
+      if (row[c] == r && column[c] != j) return refuse_pair(tape, r, column[c], j, c);
+      row[c] = r;
+      column[c] = j;
+    }
   }
   return true;
 }
@@ -222,13 +257,13 @@ kg_status kg_jacobian_coloured(kg_tape *tape, kg_value output, kg_value input,
     return tape->error.status;
   }
   const size_t m = kg_size_of(tape, output), n = kg_size_of(tape, input);
-  if (!pattern_is_valid(pattern) || (size_t)pattern->rows != m || (size_t)pattern->columns != n ||
-      !colours_fit(pattern, colour, colours)) {
+  if (!pattern_is_valid(pattern) || (size_t)pattern->rows != m || (size_t)pattern->columns != n) {
     kg_refuse(tape, KG_ERR_SHAPE, "jacobian",
               "a pattern of %d rows and %d columns for %zu by %zu entries, or malformed",
               (int)pattern->rows, (int)pattern->columns, m, n);
     return tape->error.status;
   }
+  if (!colours_fit(tape, pattern, colour, colours)) return tape->error.status;
   for (int first = 0; first < colours && tape->error.status == KG_OK; first += MOST_DIRECTIONS) {
     const int left = colours - first;
     sweep_colours(tape, output, input, pattern, colour, first,
@@ -269,7 +304,11 @@ static kg_status differentiate_gradient(kg_program *program, int count,
 kg_status kg_hessian_product(kg_tape *tape, kg_value output, int count, const kg_value *inputs,
                              const double *const *vectors, double *const *products)
 {
-  if (!kg_values_usable(tape, "hessian", 1, &output)) return tape->error.status;
+  if (!kg_values_usable(tape, "hessian", 1, &output) ||
+      !kg_values_usable(tape, "hessian", count, inputs) ||
+      !kg_values_differentiable(tape, "hessian", count, inputs)) {
+    return tape->error.status;
+  }
   if (kg_size_of(tape, output) != 1) {
     kg_refuse(tape, KG_ERR_SHAPE, "hessian", "of a value of shape %s; it must have one entry",
               kg_shape_print(kg_shape_of(tape, output)).text);

@@ -203,6 +203,15 @@ static void test_malformed_patterns(void **state)
   assert_int_equal(kg_colour_columns(&p.sparse, colour, &colours), KG_OK);
   colour[2] = 3; /* no such colour */
   assert_int_equal(kg_jacobian_coloured(t, y, in, &p.sparse, colour, 3, values), KG_ERR_SHAPE);
+  assert_string_equal(kg_tape_error(t)->text,
+                      "jacobian: column 2 has colour 3; there are 3, from 0");
+  kg_tape_rewind(t, mark);
+  for (int j = 0; j < 4; ++j) {
+    colour[j] = j % 2; /* columns 0 and 2 meet in row 1 */
+  }
+  assert_int_equal(kg_jacobian_coloured(t, y, in, &p.sparse, colour, 3, values), KG_ERR_SHAPE);
+  assert_string_equal(kg_tape_error(t)->text,
+                      "jacobian: columns 0 and 2 share colour 0, and both have an entry in row 1");
   kg_tape_rewind(t, mark);
   tridiagonal(&p, 5); /* of another size */
   assert_int_equal(kg_colour_columns(&p.sparse, colour, &colours), KG_OK);
@@ -319,6 +328,20 @@ static void test_hessian_product_beside_a_branch(void **state)
   kg_tape_destroy(t);
 }
 
+static void test_hessian_by_a_constant(void **state)
+{
+  (void)state;
+  kg_tape *t = new_tape(KG_DOUBLE);
+  const kg_value x = kg_scalar(t, 2), c = kg_constant_scalar(t, 3), y = kg_mul(t, x, c);
+  const kg_value inputs[2] = {x, c};
+  const double v = 1, *const vectors[2] = {&v, &v};
+  double a, b, *const products[2] = {&a, &b};
+  assert_int_equal(kg_hessian_product(t, y, 2, inputs, vectors, products), KG_ERR_UNDEFINED);
+  assert_string_equal(kg_tape_error(t)->text,
+                      "hessian: input 1 does not depend on a differentiable input");
+  kg_tape_destroy(t);
+}
+
 static void test_hessian_refusals(void **state)
 {
   (void)state;
@@ -361,6 +384,7 @@ int main(void)
     cmocka_unit_test(test_coloured_jacobian),
     cmocka_unit_test(test_hessian_product),
     cmocka_unit_test(test_hessian_product_beside_a_branch),
+    cmocka_unit_test(test_hessian_by_a_constant),
     cmocka_unit_test(test_hessian_refusals),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
