@@ -365,6 +365,13 @@ static void judge_entry(check *c, size_t o, size_t j)
   if (!(estimate <= c->report->error_estimate)) c->report->error_estimate = estimate;
 }
 
+/* f(x) itself is NaN or infinite: no entry means anything beside it */
+static void judge_value(check *c, size_t o)
+{
+  c->report->not_a_number = true;
+  judge(c, o, 0, c->y[o], NAN, 1);
+}
+
 static kg_status check_entries(check *c)
 {
   kg_status status = analytic_rows(c);
@@ -374,7 +381,9 @@ static kg_status check_entries(check *c)
     status = c->f->complex_step ? complex_column(c, j) : difference_column(c, j);
   }
   for (size_t o = 0; o < c->m && status == KG_OK; ++o) {
-    if (!isfinite(c->y[o])) judge(c, o, 0, c->y[o], NAN, 1);
+    if (!isfinite(c->y[o])) judge_value(c, o);
+  }
+  for (size_t o = 0; o < c->m && status == KG_OK; ++o) {
     for (size_t j = 0; j < c->n; ++j) {
       judge_entry(c, o, j);
     }
@@ -571,6 +580,13 @@ static kg_status run(check *c)
   return status;
 }
 
+static kg_status refuse_incomplete(const kg_differentiable *f, kg_error *error)
+{
+  if (f->value && f->vjp) return KG_OK;
+  return kg_fail(error, KG_ERR_UNDEFINED, "", 0, 0, "%s: brings no %s, which a check needs",
+                 f->name, f->value ? "vjp" : "value");
+}
+
 kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
                        const kg_gradcheck_def *def, kg_gradcheck_report *report, kg_error *error)
 {
@@ -590,8 +606,10 @@ kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
                                   .tolerance = c.tolerance,
                                   .taylor_order = NAN,
                                   .repeatable = true};
+  kg_status status = refuse_incomplete(function, error);
+  if (status != KG_OK) return status;
   kg_arena_init(&c.arena, settings.allocator);
-  const kg_status status = run(&c);
+  status = run(&c);
   kg_arena_release(&c.arena);
   return status;
 }
@@ -864,6 +882,17 @@ kg_status kg_gradcheck_primitive(const kg_primitive *primitive, int points,
 
 /* -- a table for a terminal -------------------------------------------------------------------- */
 
+/* where the largest error is, and what it is */
+static int explain(const kg_gradcheck_report *r, char *text, size_t size)
+{
+  if (r->not_a_number) {
+    return snprintf(text, size, ": the value y[%zu] is %s", r->worst_output,
+                    isnan(r->worst_analytic) ? "not a number" : "infinite");
+  }
+  return snprintf(text, size, ": dy[%zu]/dx[%zu] is given as %.9g, found %.9g", r->worst_output,
+                  r->worst_input, r->worst_analytic, r->worst_numeric);
+}
+
 int kg_gradcheck_row(const kg_gradcheck_report *r, char *text, size_t size)
 {
   if (!r) {
@@ -878,9 +907,7 @@ int kg_gradcheck_row(const kg_gradcheck_report *r, char *text, size_t size)
                         r->repeatable ? "" : ", not repeatable");
   if (!(r->max_relative_error <= r->tolerance) && length >= 0) {
     const size_t used = (size_t)length < size ? (size_t)length : size;
-    length += snprintf(size ? text + used : NULL, size - used,
-                       ": dy[%zu]/dx[%zu] is given as %.9g, found %.9g", r->worst_output,
-                       r->worst_input, r->worst_analytic, r->worst_numeric);
+    length += explain(r, size ? text + used : NULL, size - used);
   }
   return length;
 }

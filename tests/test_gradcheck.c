@@ -556,6 +556,32 @@ static kg_status not_a_number(void *user, const double *x, double *y)
   return KG_OK;
 }
 
+static kg_status second_is_infinite(void *user, const double *x, double *y)
+{
+  (void)user;
+  y[0] = sin(x[0]);
+  y[1] = HUGE_VAL;
+  return KG_OK;
+}
+
+static kg_status two_cosines_vjp(void *user, const double *x, const double *w, double *xw)
+{
+  (void)user;
+  *xw = (w[0] + w[1]) * cos(x[0]);
+  return KG_OK;
+}
+
+/* the row of the table ends so, whatever room there is for it */
+static void assert_says(const kg_gradcheck_report *r, const char *text)
+{
+  char row[256], cut[100];
+  const int length = kg_gradcheck_row(r, row, sizeof row);
+  assert_int_equal(length, strlen(row));
+  if (!strstr(row, text)) fail_msg("'%s' is not in '%s'", text, row);
+  assert_int_equal(kg_gradcheck_row(r, cut, sizeof cut), length);
+  assert_memory_equal(cut, row, strlen(cut));
+}
+
 static void values_that_are_not_numbers_fail(void **state)
 {
   (void)state;
@@ -564,9 +590,35 @@ static void values_that_are_not_numbers_fail(void **state)
   const kg_gradcheck_report r = check(&f, &x, NULL);
   assert_false(r.passed);
   assert_true(isnan(r.max_relative_error));
+  assert_says(&r, "FAILED: the value y[0] is not a number");
   kg_differentiable g = {"nan", 1, 1, NULL, not_a_number, cosine_vjp, NULL, cosine_step};
   const kg_gradcheck_report exact = check(&g, &x, NULL); /* the derivative alone is right */
   assert_false(exact.passed);
+  const kg_differentiable h = {"inf", 1, 2, NULL, second_is_infinite, two_cosines_vjp, NULL, NULL};
+  const kg_gradcheck_report second = check(&h, &x, NULL);
+  assert_false(second.passed);
+  assert_says(&second, "FAILED: the value y[1] is infinite");
+  kg_random random = kg_random_make(7);
+  dense wrong = random_dense(&random, 2, 2); /* its value is a number, a derivative is not */
+  wrong.fault = NOT_A_NUMBER;
+  const double at[2] = {1, 2};
+  const kg_gradcheck_report entry = check_dense(&wrong, at, WITH_JVP);
+  assert_says(&entry, "FAILED: dy[0]/dx[0] is given as ");
+}
+
+static void what_is_not_there_is_missed_by_name(void **state)
+{
+  (void)state;
+  const kg_differentiable no_value = {"pendulum", 1, 1, NULL, NULL, cosine_vjp, NULL, NULL};
+  const kg_differentiable no_vjp = {"pendulum", 1, 1, NULL, not_a_number, NULL, NULL, NULL};
+  const double x = 0.7;
+  kg_gradcheck_report report;
+  kg_error error;
+  assert_int_equal(kg_gradcheck(&no_value, &x, NULL, &report, &error), KG_ERR_UNDEFINED);
+  assert_string_equal(error.text, "pendulum: brings no value, which a check needs");
+  assert_int_equal(kg_gradcheck(&no_vjp, &x, NULL, &report, &error), KG_ERR_UNDEFINED);
+  assert_string_equal(error.text, "pendulum: brings no vjp, which a check needs");
+  assert_false(report.passed);
 }
 
 static void of_two_reports_the_worse_is_kept(void **state)
@@ -784,6 +836,7 @@ int main(void)
     cmocka_unit_test(narrow_features_are_not_skipped),
     cmocka_unit_test(leftovers_of_other_points_are_found),
     cmocka_unit_test(values_that_are_not_numbers_fail),
+    cmocka_unit_test(what_is_not_there_is_missed_by_name),
     cmocka_unit_test(of_two_reports_the_worse_is_kept),
     cmocka_unit_test(memory_that_is_refused_is_reported),
     cmocka_unit_test(rows_of_the_table_line_up),

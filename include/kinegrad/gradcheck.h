@@ -32,8 +32,8 @@ typedef struct kg_differentiable {
   void *user;
   kg_status (*value)(void *user, const double *x, double *y);
   kg_status (*vjp)(void *user, const double *x, const double *w, double *xw); /* xw = J' w */
-  kg_status (*jvp)(void *user, const double *x, const double *d,
-                   double *yd); /* optional: yd = J d */
+  /* Optional: yd = J d. */
+  kg_status (*jvp)(void *user, const double *x, const double *d, double *yd);
   /* Optional: imaginary part of value(x + i h d), divided by h. */
   kg_status (*complex_step)(void *user, const double *x, const double *d, double *yd);
 } kg_differentiable;
@@ -64,6 +64,7 @@ typedef struct kg_gradcheck_report {
   double max_relative_error;        /* of an entry; NaN where a value or product is not a number */
   size_t worst_output, worst_input; /* where, and both numbers */
   double worst_analytic, worst_numeric;
+  bool not_a_number; /* y[worst_output] itself, then worst_analytic, is NaN or infinite */
   double
     error_estimate; /* largest relative error of the numerical derivative itself; 0: complex step */
   double
@@ -75,7 +76,7 @@ typedef struct kg_gradcheck_report {
 } kg_gradcheck_report;
 
 /* KG_OK when the check could be made, whatever its answer; a failure of the function itself at x is
- * returned. Steps to points where it is undefined (KG_ERR_UNDEFINED or not finite) are made
+ * returned, and KG_ERR_UNDEFINED for a function without value or vjp. Steps to points where it is undefined (KG_ERR_UNDEFINED or not finite) are made
  * smaller. */
 KG_API kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
                               const kg_gradcheck_def *def, kg_gradcheck_report *report,
