@@ -40,6 +40,7 @@ struct kg_program {
   size_t step_count;
   kg_port seed, tangent;
   bool ran; /* the last run succeeded */
+  bool went_backward, went_forward; /* the last sweep, when it succeeded */
   kg_error error;
 };
 

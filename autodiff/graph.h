@@ -21,6 +21,7 @@
 
 #define KG_TENSOR 0x80000000u
 #define KG_NO_ADJOINTS UINT32_MAX
+#define KG_NO_LANE SIZE_MAX
 #define KG_ALL UINT64_MAX /* directions */
 
 static inline uint32_t kg_index(uint32_t id)
@@ -110,6 +111,7 @@ struct kg_graph {
   const char *detail; /* text of the last failure, NULL: that of its status */
   kg_status status;   /* first failure within the last sweep */
   uint32_t failed;    /* its node */
+  size_t failed_lane; /* and lane; KG_NO_LANE where it is not of one */
 };
 
 kg_status kg_graph_init(kg_graph *graph, const kg_allocator *allocator);

@@ -114,6 +114,7 @@ static bool open_exchange(exchange *e, const kg_call *call)
   e->direct = call->lanes == 1 && graph->number == width * sizeof(double);
   e->frame.attributes = call->attributes;
   e->frame.graph = graph;
+  graph->failed_lane = KG_NO_LANE;
   const size_t numbers = 2 * (operand_entries(call) + call->size) * width;
   return e->direct ||
          kg_buffer_reserve(&graph->scratch, graph->allocator, numbers * sizeof(double));
@@ -154,6 +155,7 @@ static const kg_primitive_call *load_call(exchange *e, size_t lane)
 {
   const kg_primitive_attributes *a = e->frame.attributes;
   e->lane = lane;
+  e->frame.graph->failed_lane = lane; /* should it fail */
   e->scratch = e->frame.graph->scratch.memory;
   for (int i = 0; i < e->of->count; ++i) {
     e->in[i] = load(e, e->of->in[i], kg_shape_size(&a->shapes[i]));
@@ -185,6 +187,7 @@ static double *const *load_operands(exchange *e, const void *const *arrays)
 static kg_status missing(kg_graph *graph, const char *detail)
 {
   graph->detail = detail;
+  graph->failed_lane = KG_NO_LANE;
   return KG_ERR_UNSUPPORTED;
 }
 

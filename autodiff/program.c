@@ -83,16 +83,25 @@ static kg_status fail(kg_program *program, kg_status status, const char *what, c
                  tag ? tag : "", tag ? "]" : "", text);
 }
 
+static kg_status fail_in_lane(kg_program *program, const kg_node *node, kg_status status,
+                              const char *tag)
+{
+  const kg_graph *graph = &program->graph;
+  const bool known = graph->lanes > 1 && graph->failed_lane != KG_NO_LANE;
+  char text[256], lane[32] = "";
+  if (known) snprintf(lane, sizeof lane, ", lane %zu", graph->failed_lane);
+  snprintf(text, sizeof text, "%.200s%s", graph->detail ? graph->detail : kg_status_text(status),
+           lane);
+  return fail(program, status, kg_node_name(node), tag, text);
+}
+
 /* The operands' operator says more about a comparison than "is_less". */
 static kg_status fail_at(kg_program *program, uint32_t index, kg_status status)
 {
   const kg_node *node = &program->graph.node[index];
   const kg_block *block = node->is.block;
   const char *tag = program->tag[index];
-  if (status != KG_ERR_STALE) {
-    const char *detail = program->graph.detail;
-    return fail(program, status, kg_node_name(node), tag, detail ? detail : kg_status_text(status));
-  }
+  if (status != KG_ERR_STALE) return fail_in_lane(program, node, status, tag);
   const kg_op a = (kg_op)program->graph.node[kg_index(block->input[0])].op;
   const kg_op b = (kg_op)program->graph.node[kg_index(block->input[1])].op;
   char text[200];
@@ -172,6 +181,7 @@ static void add_numbers(const kg_program *program, void *to, const void *from, s
 static kg_status begin_sweep(kg_program *program, const kg_port *port, const uint32_t *ids,
                              const char *call, int directions)
 {
+  program->went_backward = program->went_forward = false;
   if (!program->ran)
     return fail(program, KG_ERR_UNDEFINED, call, NULL, "no run has succeeded before");
   if (port->directions != directions) {
@@ -241,6 +251,7 @@ kg_status kg_program_backward(kg_program *program, int directions)
   for (int i = 0; i < program->info.inputs; ++i) {
     kg_sweep_seed(&program->graph, program->input[i]); /* zero where no seed led to */
   }
+  program->went_backward = program->graph.status == KG_OK;
   return finish_sweep(program);
 }
 
@@ -256,7 +267,7 @@ const void *kg_program_adjoint(const kg_program *program, int i)
 {
   KG_ASSERT(i >= 0 && i < program->info.inputs);
   const kg_node *node = &program->graph.node[kg_index(program->input[i])];
-  return node->active ? place(program, program->input[i]) : NULL;
+  return node->active && program->went_backward ? place(program, program->input[i]) : NULL;
 }
 
 kg_status kg_program_forward(kg_program *program, int directions)
@@ -271,11 +282,12 @@ kg_status kg_program_forward(kg_program *program, int directions)
       memset(place(program, id), 0, block_of(program, id)->size * entry_bytes(program, directions));
     }
   }
+  program->went_forward = program->graph.status == KG_OK;
   return finish_sweep(program);
 }
 
 const void *kg_program_output_tangent(const kg_program *program, int o)
 {
   KG_ASSERT(o >= 0 && o < program->info.outputs);
-  return place(program, program->output[o]);
+  return program->went_forward ? place(program, program->output[o]) : NULL;
 }

@@ -243,6 +243,34 @@ static void test_odd_ends(void **state)
   kg_program_destroy(p);
 }
 
+/* Results of a sweep are there after it, not before, and not after one of the other kind. */
+static void test_results_of_sweeps_that_were_not_made(void **state)
+{
+  (void)state;
+  kg_tape *t;
+  assert_int_equal(kg_tape_create(NULL, &t, NULL), KG_OK);
+  const kg_value x = kg_scalar(t, 2), y = kg_square(t, x);
+  kg_program *p;
+  assert_int_equal(kg_program_create(NULL, t, 1, &x, 1, &y, &p, NULL), KG_OK);
+  *(double *)kg_program_seed(p, 0, 1) = 3;
+  *(double *)kg_program_tangent(p, 0, 1) = 5;
+  assert_null(kg_program_adjoint(p, 0));
+  assert_null(kg_program_output_tangent(p, 0));
+  assert_int_equal(kg_program_run(p), KG_OK);
+  assert_null(kg_program_adjoint(p, 0));
+  assert_int_equal(kg_program_backward(p, 1), KG_OK);
+  assert_true(*(const double *)kg_program_adjoint(p, 0) == 12);
+  assert_null(kg_program_output_tangent(p, 0));
+  assert_int_equal(kg_program_forward(p, 1), KG_OK);
+  assert_null(kg_program_adjoint(p, 0));
+  assert_true(*(const double *)kg_program_output_tangent(p, 0) == 20);
+  assert_int_equal(kg_program_backward(p, 2), KG_ERR_UNDEFINED); /* no seeds for two */
+  assert_null(kg_program_adjoint(p, 0));
+  assert_null(kg_program_output_tangent(p, 0));
+  kg_program_destroy(p);
+  kg_tape_destroy(t);
+}
+
 static void test_seeds_stay_until_directions_change(void **state)
 {
   (void)state;
@@ -320,6 +348,7 @@ static void test_undefined_names_operator_and_tag(void **state)
   ((double *)kg_program_input(p, 0))[1] = 0; /* entry (0, 0) of lane 1 */
   assert_int_equal(kg_program_run(p), KG_ERR_UNDEFINED);
   assert_non_null(strstr(kg_program_error(p)->text, "solve [mass matrix]"));
+  assert_non_null(strstr(kg_program_error(p)->text, "needed, lane 1"));
   kg_program_destroy(p);
   kg_tape_destroy(t);
 }
@@ -517,6 +546,7 @@ int main(void)
     cmocka_unit_test(test_fate_of_every_value),
     cmocka_unit_test(test_forward_and_backward_agree),
     cmocka_unit_test(test_odd_ends),
+    cmocka_unit_test(test_results_of_sweeps_that_were_not_made),
     cmocka_unit_test(test_seeds_stay_until_directions_change),
     cmocka_unit_test(test_stale_comparison),
     cmocka_unit_test(test_undefined_names_operator_and_tag),

@@ -72,10 +72,11 @@ KG_API const kg_error *kg_program_error(const kg_program *program);
  * number of directions changes. NULL when memory is refused. */
 KG_API void *kg_program_seed(kg_program *program, int o, int directions);
 
-/* Backward from the seeds, at the last run. The inputs must still hold what was run: the sweep reads
- * them again. */
+/* Backward from the seeds, at the last run. The inputs must still hold what was run: the sweep
+ * reads them again. */
 KG_API kg_status kg_program_backward(kg_program *program, int directions);
-/* The adjoint of input i, (directions, size, lanes); NULL when it was made as a constant. */
+/* The adjoint of input i, (directions, size, lanes), until the next sweep. NULL when the input was
+ * made as a constant, and when the last sweep failed, went forward or was not there at all. */
 KG_API const void *kg_program_adjoint(const kg_program *program, int i);
 
 /* Where to write the tangent of input i before kg_program_forward, (directions, size, lanes); as
@@ -83,7 +84,8 @@ KG_API const void *kg_program_adjoint(const kg_program *program, int i);
 KG_API void *kg_program_tangent(kg_program *program, int i, int directions);
 /* Forward along the tangents, at the last run; likewise. */
 KG_API kg_status kg_program_forward(kg_program *program, int directions);
-/* The tangent of output o, (directions, size, lanes). */
+/* The tangent of output o, (directions, size, lanes), until the next sweep; NULL unless the last
+ * one went forward and succeeded. */
 KG_API const void *kg_program_output_tangent(const kg_program *program, int o);
 
 #ifdef __cplusplus
