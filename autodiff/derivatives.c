@@ -106,17 +106,31 @@ kg_status kg_backward(kg_tape *tape, kg_value output)
   return kg_sweep_status(tape);
 }
 
+/* why the value has no adjoint to be read; NULL when it has one */
+static const char *missing_adjoint(const kg_tape *tape, kg_value value, bool wants_double)
+{
+  const kg_graph *graph = &tape->graph;
+  const uint32_t index = kg_index(value.id);
+  if (is_double(tape, value) != wants_double) {
+    return wants_double ? "numbers of single precision: kg_adjoint_f32 reads them"
+                        : "numbers of double precision: kg_adjoint reads them";
+  }
+  if (graph->directions == 0) return "no sweep since the tape was made, or the last one failed";
+  if (index >= graph->swept) return "recorded after the last backward sweep";
+  if (graph->complete == KG_NO_ADJOINTS) return "the last sweep went forward";
+  return index < graph->complete ? "older than the inputs for which the last sweep was made" : NULL;
+}
+
 static const void *adjoint_of(kg_tape *tape, kg_value value, bool wants_double)
 {
-  if (!kg_values_usable(tape, "adjoint", 1, &value) ||
-      !kg_values_differentiable(tape, "adjoint", 1, &value))
+  if (!kg_values_usable(tape, "adjoint", 1, &value)) return NULL;
+  if (!kg_node_of(tape, value)->active) {
+    kg_refuse(tape, KG_ERR_UNDEFINED, "adjoint", "of a constant, or of what constants alone make");
     return NULL;
-  const uint32_t index = kg_index(value.id);
-  if (is_double(tape, value) != wants_double || tape->graph.directions == 0 ||
-      index >= tape->graph.swept || index < tape->graph.complete) {
-    kg_refuse(tape, KG_ERR_UNSUPPORTED, "adjoint",
-              "no backward sweep over the value since it was recorded, or a tape of the other "
-              "precision");
+  }
+  const char *reason = missing_adjoint(tape, value, wants_double);
+  if (reason) {
+    kg_refuse(tape, KG_ERR_UNSUPPORTED, "adjoint", "%s", reason);
     return NULL;
   }
   return kg_sweep_seed(&tape->graph, value.id); /* zero when the sweep did not reach it */

@@ -169,8 +169,10 @@ static kg_status record_residual(const kg_primitive_call *call, bool by_x,
   const kg_status status = kg_child_status(frame->graph);
   if (status != KG_OK) return status;
   if (kg_size_of(r->tape, r->residual) == size_of_result(call)) return KG_OK;
-  frame->graph->detail = "the residual is not of the size of the solution";
-  return KG_ERR_SHAPE;
+  kg_refuse(
+    r->tape, KG_ERR_SHAPE, "residual", "shape %s for a solution of shape %s: as many entries",
+    kg_shape_print(kg_shape_of(r->tape, r->residual)).text, kg_shape_print(call->shape).text);
+  return kg_child_status(frame->graph);
 }
 
 static kg_status factorise(const kg_primitive_call *call)

@@ -23,10 +23,23 @@ static size_t leading_size(kg_shape shape)
   return kg_shape_size(&shape);
 }
 
-static kg_value refuse_shapes(kg_tape *tape, kg_op op, kg_shape a, kg_shape b, const char *why)
+/* two shapes, and what would fit */
+static kg_value refuse_shapes(kg_tape *tape, kg_op op, kg_shape a, kg_shape b, const char *fits)
 {
-  return kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shapes %s and %s%s", kg_shape_print(a).text,
-                   kg_shape_print(b).text, why);
+  return kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(op), "shapes %s and %s: %s",
+                   kg_shape_print(a).text, kg_shape_print(b).text, fits);
+}
+
+static kg_value refuse_inner(kg_tape *tape, kg_shape a, kg_shape b, int flags)
+{
+  const bool ta = flags & KG_TRANSPOSE_A, tb = flags & KG_TRANSPOSE_B;
+  int32_t m, k, other, n;
+  last_two(a, ta, &m, &k);
+  last_two(b, tb, &other, &n);
+  return kg_refuse(tape, KG_ERR_SHAPE, kg_op_name(kg_op_matmul),
+                   "shapes %s%s and %s%s: rows of the second must be %d, not %d",
+                   kg_shape_print(a).text, ta ? " transposed" : "", kg_shape_print(b).text,
+                   tb ? " transposed" : "", (int)k, (int)other);
 }
 
 /* -- products ---------------------------------------------------------------------------------- */
@@ -72,13 +85,15 @@ kg_value kg_matmul(kg_tape *tape, kg_value a, kg_value b, int flags)
   const kg_shape sa = kg_shape_of(tape, a), sb = kg_shape_of(tape, b);
   const bool ta = flags & KG_TRANSPOSE_A, tb = flags & KG_TRANSPOSE_B;
   if (sa.rank < 2 || sb.rank < 2) {
-    return refuse_shapes(tape, kg_op_matmul, sa, sb, ": two axes at least");
+    return refuse_shapes(tape, kg_op_matmul, sa, sb, "each needs two axes at least");
   }
   int32_t m, k, other, n;
   last_two(sa, ta, &m, &k);
   last_two(sb, tb, &other, &n);
-  if (k != other || (sa.rank > 2 && sb.rank > 2 && !leading_equal(sa, sb))) {
-    return refuse_shapes(tape, kg_op_matmul, sa, sb, ta || tb ? ", transposed as asked" : "");
+  if (k != other) return refuse_inner(tape, sa, sb, flags);
+  if (sa.rank > 2 && sb.rank > 2 && !leading_equal(sa, sb)) {
+    return refuse_shapes(tape, kg_op_matmul, sa, sb,
+                         "axes before the last two must be equal, or one be a single matrix");
   }
   kg_shape shape = sa.rank > 2 ? sa : sb;
   shape.dim[shape.rank - 2] = m;
@@ -106,7 +121,8 @@ kg_value kg_affine(kg_tape *tape, kg_value x, kg_value weight, kg_value bias)
   const int last = shape.rank - 1;
   if (last < 0 || sw.rank != 2 || shape.dim[last] != sw.dim[0] ||
       (bias.id && (sb.rank != 1 || sb.dim[0] != sw.dim[1]))) {
-    return kg_refuse(tape, KG_ERR_SHAPE, "affine", "x %s, weight %s, bias %s",
+    return kg_refuse(tape, KG_ERR_SHAPE, "affine",
+                     "x %s, weight %s, bias %s: (..., k), (k, n) and (n) fit",
                      kg_shape_print(shape).text, kg_shape_print(sw).text,
                      bias.id ? kg_shape_print(sb).text : "none");
   }
@@ -126,10 +142,9 @@ static kg_value record_solve(kg_tape *tape, kg_op op, kg_value a, kg_value b, kg
   const kg_value operands[2] = {a, b};
   if (!kg_operands_given(tape, 2, operands)) return (kg_value){0};
   const kg_shape sa = kg_shape_of(tape, a), sb = kg_shape_of(tape, b);
-  if (sa.rank < 2 || sb.rank < 2) return refuse_shapes(tape, op, sa, sb, ": two axes at least");
-  if (sa.dim[sa.rank - 2] != sa.dim[sa.rank - 1] || sa.dim[sa.rank - 1] != sb.dim[sb.rank - 2] ||
-      !leading_equal(sa, sb)) {
-    return refuse_shapes(tape, op, sa, sb, "");
+  if (sa.rank < 2 || sb.rank < 2 || sa.dim[sa.rank - 2] != sa.dim[sa.rank - 1] ||
+      sa.dim[sa.rank - 1] != sb.dim[sb.rank - 2] || !leading_equal(sa, sb)) {
+    return refuse_shapes(tape, op, sa, sb, "(..., n, n) and (..., n, m) fit, equal before that");
   }
   system.batch = leading_size(sa);
   system.n = (size_t)sa.dim[sa.rank - 1];

@@ -310,7 +310,9 @@ static void expect_fault(int fault, kg_status status, const char *text)
 static void failures_name_both_tags(void **test_state)
 {
   (void)test_state;
-  const char *const shapes = "checkpoint [outside]: matmul [inside]: shapes (3, 1) and (3, 1)";
+  const char *const shapes =
+    "checkpoint [outside]: matmul [inside]: shapes (3, 1) and (3, 1): rows "
+    "of the second must be 1, not 3";
   const char *const undefined =
     "checkpoint [outside]: a function is undefined where its value is needed";
   expect_fault(1, KG_ERR_SHAPE, shapes);

@@ -783,7 +783,7 @@ static void failures_of_a_residual_are_passed_on(void **state)
   root.shape = KG_SHAPE(2);
   assert_true(kg_is_null(kg_differentiate_root(tape, &root, 2, p)));
   assert_string_equal(kg_tape_error(tape)->text,
-                      "cubic: the residual is not of the size of the solution");
+                      "cubic: residual: shape () for a solution of shape (2): as many entries");
   kg_tape_destroy(tape);
 }
 
