@@ -201,16 +201,18 @@ static void add_pair(json_t *cases, const kg_bench_result *result, int k)
   }
   const kg_bench_measure *ours = &result->measures[pair->ours];
   const kg_bench_measure *peer = &result->measures[pair->peer];
+  const bool has_peer = pair->ours != pair->peer;
   const bool is_timed = ours->rounds > 0 && peer->rounds > 0;
+  const bool is_ratio = is_timed && has_peer;
   char name[128];
   snprintf(name, sizeof name, "%s %s", of->name, pair->name);
   json_t *row = json_object();
   cli_json_set_text(row, "name", name);
   cli_json_set_number(row, "value", is_timed ? ours->cpu / of->unit_seconds : NAN);
   cli_json_set_text(row, "unit", of->unit);
-  cli_json_set_text(row, "peer", of->contestants[pair->peer].name);
-  cli_json_set_number(row, "peer_value", is_timed ? peer->cpu / of->unit_seconds : NAN);
-  cli_json_set_number(row, "ratio", is_timed ? ours->cpu / peer->cpu : NAN);
+  cli_json_set_text(row, "peer", has_peer ? of->contestants[pair->peer].name : NULL);
+  cli_json_set_number(row, "peer_value", is_ratio ? peer->cpu / of->unit_seconds : NAN);
+  cli_json_set_number(row, "ratio", is_ratio ? ours->cpu / peer->cpu : NAN);
   cli_json_set_number(row, "agreement", result->agreements[k]);
   json_array_append_new(cases, row);
 }
@@ -314,7 +316,8 @@ static const cli_option result_options[] = {
    .summary = "the ratios as one JSON object; - for stdout, in place of the table",
    .details = "One object per pair under 'cases': name, value, unit, peer, peer_value, ratio "
               "(value over peer_value, below 1 is faster), agreement (relative difference of the "
-              "two answers). What was not timed has null for its times.",
+              "two answers). What was not timed has null for its times, a time beside no other's "
+              "has null for peer, peer_value and ratio.",
    .offset = offsetof(bench_values, json)},
 };
 

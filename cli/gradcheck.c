@@ -1,4 +1,5 @@
-/* kinegrad gradcheck: every operator, primitive and loss against numerical differentiation, as a table. */
+/* kinegrad gradcheck: every operator, primitive and loss against numerical differentiation, as a
+ * table. */
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
@@ -41,24 +42,32 @@ static kg_status check_row(const rows *r, int i, kg_gradcheck_report *report, kg
   return cli_models_check(r->models, i - first, points, &r->def, report, error);
 }
 
-/* whether one of the words, separated by commas, is part of the name */
-static bool is_wanted(const char *filter, const char *name)
+/* The words of a filter are separated by commas; empty ones do not count. Returns how long the next
+ * one is and moves *filter to its start; 0 behind the last. */
+static size_t next_word(const char **filter)
 {
-  while (filter) {
-    const size_t length = strcspn(filter, ",");
-    for (const char *at = name; length && *at; at++) {
-      if (strncasecmp(at, filter, length) == 0) {
-        return true;
-      }
+  *filter += strspn(*filter, ",");
+  return strcspn(*filter, ",");
+}
+
+static bool name_has(const char *name, const char *word, size_t length)
+{
+  for (; *name; name++) {
+    if (strncasecmp(name, word, length) == 0) {
+      return true;
     }
-    filter = filter[length] ? filter + length + 1 : NULL;
   }
   return false;
 }
 
 static bool row_is_wanted(const rows *r, int i)
 {
-  return !r->values->filter || is_wanted(r->values->filter, row_name(i));
+  const char *word = r->values->filter;
+  bool is_wanted = !word;
+  for (size_t n; word && !is_wanted && (n = next_word(&word)) > 0; word += n) {
+    is_wanted = name_has(row_name(i), word, n);
+  }
+  return is_wanted;
 }
 
 static json_t *check_object(const kg_gradcheck_report *r)
@@ -140,16 +149,35 @@ static int check_and_report(const rows *r, cli_output *json, FILE *out)
   return code;
 }
 
-static bool any_row_is_wanted(const rows *r)
+static bool any_row_has(const char *word, size_t length)
 {
   for (int i = 0; i < row_count(); i++) {
-    if (row_is_wanted(r, i)) {
+    if (name_has(row_name(i), word, length)) {
       return true;
     }
   }
-  cli_message("--filter: no check has '%s' in its name; 'kinegrad gradcheck' lists them",
-              r->values->filter);
   return false;
+}
+
+/* A word that finds nothing is a slip of the pen: what was meant would go unchecked. */
+static bool filter_is_good(const char *filter)
+{
+  if (!filter) {
+    return true;
+  }
+  const char *word = filter;
+  size_t n = next_word(&word);
+  bool is_good = n > 0;
+  while (n > 0 && is_good) {
+    is_good = any_row_has(word, n);
+    word += is_good ? n : 0;
+    n = next_word(&word);
+  }
+  if (!is_good) {
+    cli_message("--filter: no check has '%.*s' in its name; 'kinegrad gradcheck' lists them",
+                (int)n, word);
+  }
+  return is_good;
 }
 
 static int check_with(const gradcheck_values *values, const kg_subject *subject, FILE *out)
@@ -157,7 +185,7 @@ static int check_with(const gradcheck_values *values, const kg_subject *subject,
   rows r = {.values = values, .def = kg_gradcheck_default_def()};
   cli_output *json = NULL;
   r.def.seed = (uint64_t)values->seed;
-  if (!any_row_is_wanted(&r)) {
+  if (!filter_is_good(values->filter)) {
     return CLI_USAGE;
   }
   if (!cli_json_open(&json, values->json)) {
@@ -201,7 +229,9 @@ static const cli_option check_options[] = {
    .kind = CLI_PATH,
    .value_name = "TEXT",
    .summary = "only checks whose name contains TEXT",
-   .details = "Several, separated by commas; small and capital letters are the same.",
+   .details =
+     "Several, separated by commas; small and capital letters are the same. A text that no "
+     "name contains is an error.",
    .offset = offsetof(gradcheck_values, filter)},
   {.name = "points",
    .kind = CLI_INT,

@@ -118,6 +118,10 @@ run 2 eval "$walk" "$scratch"
 says "two clips or two folders"
 run 2 gradcheck --filter no_such_operator
 says "no check has 'no_such_operator' in its name"
+run 2 gradcheck --filter matmul,no_such_operator,sin
+says "no check has 'no_such_operator' in its name"
+run 2 gradcheck --filter ,
+says "no check has '' in its name"
 run 2 gradcheck "$walk" "$walk"
 says "takes at most one clip, 2 given"
 run 2 gradcheck --points 0
@@ -470,6 +474,11 @@ if "$kinegrad" bench -h >/dev/null 2>&1; then
   run 0 bench autodiff --filter ba1 --data bad/adbench --rounds 1 --json ratios.json
   claim "bench: where the data come from" grep -q "^ba1_loss: bad/adbench/ba1\.txt, perturbed" stdout.txt
   claim "bench: compiler and flags" grep -Eq "^plain C  .*-O3.* -ffp-contract=fast" stdout.txt
+  run 0 bench --help
+  claim "bench: where data come from unless told" grep -q "default: \.\./shared/adbench if" stdout.txt
+  run 0 bench --filter mlp_relu --rounds 1 --json alone.json
+  claim "bench: a time beside no other's" grep -Eq '"name": "mlp_relu recorded", "value": [0-9.e-]+, "unit": "ms", "peer": null, "peer_value": null, "ratio": null, "agreement": [0-9.e-]+' alone.json
+  run 0 bench autodiff --filter ba1 --data bad/adbench --rounds 1 --json ratios.json
   claim "bench: a denominator in milliseconds" grep -Eq "plain loss, -O3 +[0-9.e-]+ +[0-9.e-]+ .* 1 x" stdout.txt
   if grep -q "not here" stdout.txt; then
     echo "skipped: ratios of bench, a peer is not in this build"
@@ -547,6 +556,8 @@ run 0 gradcheck --points 5 --seed 2 --json out/h.json
 claim "gradcheck: another seed gives other points" sh -c '! cmp -s out/g.json out/h.json'
 run 0 gradcheck --points 5 --filter MATMUL,step "$walk"
 claim "gradcheck: a filter of two words" test "$(grep -c '  ok$' stdout.txt)" -eq 4
+run 0 gradcheck --points 5 --filter ,matmul,,step, "$walk"
+claim "gradcheck: stray commas mean nothing" test "$(grep -c '  ok$' stdout.txt)" -eq 4
 run 0 gradcheck --points 5 --filter sin --json -
 claim "gradcheck --json - is JSON alone" test "$(head -c 1 stdout.txt)" = "{"
 rm -f out/g.json out/h.json
