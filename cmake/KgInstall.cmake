@@ -12,7 +12,10 @@ install(FILES ${PROJECT_BINARY_DIR}/kinegradConfig.cmake
   ${PROJECT_BINARY_DIR}/kinegradConfigVersion.cmake DESTINATION ${KG_CONFIG_FOLDER})
 
 file(RELATIVE_PATH KG_PC_TO_PREFIX /${CMAKE_INSTALL_LIBDIR}/pkgconfig /)
-configure_file(cmake/kinegrad.pc.in kinegrad.pc @ONLY)
-install(FILES ${PROJECT_BINARY_DIR}/kinegrad.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+foreach(pc kinegrad kinegrad_autodiff)
+  configure_file(cmake/${pc}.pc.in ${pc}.pc @ONLY)
+  install(FILES ${PROJECT_BINARY_DIR}/${pc}.pc DESTINATION ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+endforeach()
 install(DIRECTORY docs DESTINATION ${CMAKE_INSTALL_DOCDIR})
+install(DIRECTORY examples DESTINATION ${CMAKE_INSTALL_DOCDIR} FILES_MATCHING PATTERN "*.c")
 install(FILES README.md LICENSE CHANGELOG.md CONTRIBUTING.md DESTINATION ${CMAKE_INSTALL_DOCDIR})

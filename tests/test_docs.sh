@@ -4,6 +4,8 @@
 #   <!-- examples/FILE.c [REGION] -->   the fenced block below equals the lines of the file between
 #                                       two comments /* [REGION] */, less their common indent
 #   <!-- output of NAME -->             the fenced block below is printed by that example
+#
+# A page links to every example it quotes from, and names the headers the example includes.
 set -euo pipefail
 source=$1 examples=$2
 failed=0
@@ -46,6 +48,12 @@ for page in "$source"/README.md "$source"/docs/guide/*.md; do
       fail "$page: $marker"
     fi
   done < <(grep -E '^<!-- (examples/|output of )' "$page")
+  for example in $(sed -nE 's/^<!-- (examples\/[a-z_]+\.c) .*/\1/p' "$page" | sort -u); do
+    grep -qE "\]\((\.\./\.\./)?$example\)" "$page" || fail "$page: no link to $example"
+    for header in $(sed -n 's/^#include "\(.*\)"$/\1/p' "$source/$example"); do
+      grep -qF "\`$header\`" "$page" || fail "$page: $example includes $header, which is not said"
+    done
+  done
   awk '/^```c$/ && previous !~ /^<!-- examples\// { print FILENAME ":" FNR; bad = 1 }
     { previous = $0 } END { exit bad }' "$page" || fail "C code that is no example's"
 done

@@ -67,6 +67,16 @@ add_executable(with_engine engine.c)
 target_link_libraries(with_engine PRIVATE kinegrad::kinegrad_autodiff)
 CMAKE
 
+# ... and with nothing but a C compiler
+mkdir -p "$scratch/engine"
+cat >"$scratch/engine/CMakeLists.txt" <<'CMAKE'
+cmake_minimum_required(VERSION 3.21)
+project(engine LANGUAGES C)
+find_package(kinegrad 0.1 REQUIRED COMPONENTS autodiff)
+add_executable(engine ../consumer/engine.c)
+target_link_libraries(engine PRIVATE kinegrad::kinegrad_autodiff)
+CMAKE
+
 check() { # NAME COMMAND...: the consumer runs and gives the number computed by hand
   name=$1
   shift
@@ -91,6 +101,11 @@ check "find_package, shared" "$scratch/build/with_shared"
 check "find_package, static" "$scratch/build/with_static"
 expect "find_package, the engine alone" 0.0770 "$scratch/build/with_engine"
 
+cmake -G Ninja -S "$scratch/engine" -B "$scratch/engine_build" -DCMAKE_PREFIX_PATH="$prefix" \
+  -DCMAKE_C_COMPILER="$cc" >"$scratch/engine_configure.log"
+cmake --build "$scratch/engine_build" >"$scratch/engine_build.log"
+expect "find_package, component autodiff" 0.0770 "$scratch/engine_build/engine"
+
 PKG_CONFIG_PATH=$(dirname "$(find "$prefix" -name kinegrad.pc)")
 export PKG_CONFIG_PATH
 libdir=$(pkg-config --variable=libdir kinegrad)
@@ -101,6 +116,11 @@ check "pkg-config, shared" env LD_LIBRARY_PATH="$libdir" "$scratch/pc_shared"
 "$cc" "$scratch/consumer/main.c" -o "$scratch/pc_static" $(pkg-config --cflags kinegrad) \
   $(pkg-config --static --libs kinegrad | sed 's/-lkinegrad/-l:libkinegrad.a/')
 check "pkg-config, static" "$scratch/pc_static"
+
+# shellcheck disable=SC2046
+"$cc" "$scratch/consumer/engine.c" -o "$scratch/pc_engine" \
+  $(pkg-config --cflags --libs kinegrad_autodiff)
+expect "pkg-config, the engine alone" 0.0770 "$scratch/pc_engine"
 
 check_version() {
   case $("$prefix/bin/kinegrad" --version) in
@@ -115,6 +135,10 @@ check_version
 
 if ! [ -s "$prefix/share/doc/kinegrad/docs/guide/read-the-report.md" ]; then
   echo "the guide is not installed beside the README that points to it" >&2
+  exit 1
+fi
+if ! [ -s "$prefix/share/doc/kinegrad/examples/first_gradient.c" ]; then
+  echo "the examples are not installed where the guide's links lead" >&2
   exit 1
 fi
 echo "documents: good"
