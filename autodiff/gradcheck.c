@@ -1,5 +1,5 @@
-/* Is this derivative right? Numerical derivatives with their error, the judgement of entries, Taylor orders,
- * dot tests, repeated calls (kinegrad/gradcheck.h says what is judged how).
+/* Is this derivative right? Numerical derivatives with their error, the judgement of entries,
+ * Taylor orders, dot tests, repeated calls (kinegrad/gradcheck.h says what is judged how).
  *
  *   n, m   inputs, outputs of f       J (m, n)   analytic, row o by f's J' e_o
  *   N, E (m, n)   numerical derivative and the estimate of its error */
@@ -189,8 +189,8 @@ static kg_status complex_column(check *c, size_t j)
   return status;
 }
 
-/* Rounding errors of f: its sixth differences along d, over steps of h reach so short that their sixth power
- * vanishes. */
+/* Rounding errors of f: its sixth differences along d, over steps of h reach so short that their
+ * sixth power vanishes. */
 static kg_status measure_noise(check *c, double h)
 {
   enum { POINTS = 9, DIFFERENCES = 6 };
@@ -244,8 +244,9 @@ static kg_status central_difference(check *c, size_t j, double h, double *differ
   return status;
 }
 
-/* One row of the table for output o: column k is free of the error terms up to h^2k. The best entry so far and its
- * error, the larger of its distances to the two it was made from, are kept [Ridders]. */
+/* One row of the table for output o: column k is free of the error terms up to h^2k. The best entry
+ * so far and its error, the larger of its distances to the two it was made from, are kept
+ * [Ridders]. */
 static void extrapolate(check *c, const double *above, double *row, int i, size_t o, double h)
 {
   double factor = ratio * ratio;
@@ -279,8 +280,8 @@ static kg_status extrapolated_differences(check *c, size_t j, double h)
   return status;
 }
 
-/* Takes the table's answer where it is the surer one, and where it clearly contradicts that of the larger steps: they
- * skipped something. */
+/* Takes the table's answer where it is the surer one, and where it clearly contradicts that of the
+ * larger steps: they skipped something. */
 static bool keep_better(check *c, size_t j)
 {
   bool kept = false;
@@ -296,7 +297,8 @@ static bool keep_better(check *c, size_t j)
   return kept;
 }
 
-/* No reason to look closer: analytic and numerical entries agree, and the estimate is good enough. */
+/* No reason to look closer: analytic and numerical entries agree, and the estimate is good
+ * enough. */
 static bool settled(const check *c, size_t j)
 {
   for (size_t o = 0; o < c->m; ++o) {
@@ -424,9 +426,10 @@ static double median(double *a, int count)
   return a[count / 2];
 }
 
-/* Median order over the last five halvings whose remainders stand clear of the rounding errors: of those measured,
- * and of what is left nine halvings later, where even order 1 leaves 1/512. +inf when there are fewer than five, or
- * when the remainder falls to rounding all at once: f is linear from there on. */
+/* Median order over the last five halvings whose remainders stand clear of the rounding errors: of
+ * those measured, and of what is left nine halvings later, where even order 1 leaves 1/512. +inf
+ * when there are fewer than five, or when the remainder falls to rounding all at once: f is linear
+ * from there on. */
 static double order_of(const check *c, size_t o)
 {
   enum { LATER = 9, NEEDED = 5 };
@@ -478,8 +481,8 @@ static kg_status taylor_order(check *c, double *order)
   return status;
 }
 
-/* A direction in which the derivative looks wrong is followed by another: a wrong derivative is wrong along all of
- * them, one that bends at a place nearby is not. */
+/* A direction in which the derivative looks wrong is followed by another: a wrong derivative is
+ * wrong along all of them, one that bends at a place nearby is not. */
 static kg_status taylor_test(check *c)
 {
   double order, another;
@@ -810,7 +813,7 @@ kg_status kg_gradcheck_recorded(const char *name, kg_recorded function, void *us
   return kg_gradcheck_against(name, function, user, shape, x, &itself, def, report, error);
 }
 
-/* -- primitives at their own samples ------------------------------------------------------------ */
+/* -- primitives at their own samples ----------------------------------------------------------- */
 
 typedef struct sampled {
   const kg_primitive *primitive;

@@ -219,8 +219,8 @@ static bool refuse_pair(kg_tape *tape, int32_t row, int32_t one, int32_t other, 
   return false;
 }
 
-/* Every column has one of the colours, and no row meets one of them in two columns. Otherwise false,
- * with the tape's error saying where. */
+/* Every column has one of the colours, and no row meets one of them in two columns. Otherwise
+ * false, with the tape's error saying where. */
 static bool colours_fit(kg_tape *tape, const kg_sparse *pattern, const int32_t *colour, int colours)
 {
   for (int32_t j = 0; j < pattern->columns; ++j) {

@@ -31,7 +31,7 @@
   X(tanh,       TANH(a),                (KG_ONE - y) * (KG_ONE + y))                               \
   X(sigmoid,    SIGMOID(a),             y * (KG_ONE - y))                                          \
   X(softplus,   SOFTPLUS(a),            SIGMOID(a))                                                \
-  X(relu,       RE(a) <= 0 ? KG_ZERO : a, RE(a) <= 0 ? KG_ZERO : KG_ONE)                             \
+  X(relu,       RE(a) <= 0 ? KG_ZERO : a, RE(a) <= 0 ? KG_ZERO : KG_ONE)                           \
   X(scale,      p * a,                  p)                                                         \
   X(shift,      a + p,                  KG_ONE)                                                    \
   X(power,      POW(a, p),              POWER_SLOPE(a, p))
@@ -42,7 +42,7 @@
   X(cos,        COS(a),                 -SIN(a))
 
 /* of two constants: tensors only, a scalar's is made of min and max */
-#define KG_CLAMP_LIST(X)                                                                            \
+#define KG_CLAMP_LIST(X)                                                                           \
   X(clamp,      CLAMP(a, p, q),         RE(a) >= RE(p) && RE(a) <= RE(q) ? KG_ONE : KG_ZERO)
 
 /* name, value, derivative by a, derivative by b */

@@ -1,9 +1,9 @@
-/* The registry of checks: every operator and kind of primitive with shapes, domains and kinks, so that none is
- * left unchecked (a test compares with oplist.h).
+/* The registry of checks: every operator and kind of primitive with shapes, domains and kinks, so
+ * that none is left unchecked (a test compares with oplist.h).
  *
- * A row records its operator from one packed vector x, which is cut into the operands of a variant's shapes.
- * At a kink the derivative must be the one operators.h states: that of the function on a stated side, taken by a
- * complex step from a point moved there by 1e-13, or zero. */
+ * A row records its operator from one packed vector x, which is cut into the operands of a
+ * variant's shapes. At a kink the derivative must be the one operators.h states: that of the
+ * function on a stated side, taken by a complex step from a point moved there by 1e-13, or zero. */
 #include "autodiff/gradcheck.h"
 #include "kinegrad/derivatives.h"
 #include "kinegrad/primitive.h"
@@ -46,10 +46,12 @@ static const operand_shapes two[] = {
   {{M(3, 1), M(1, 2)}}, {{T4(2, 1, 2, 1), T3(3, 1, 2)}}};
 static const operand_shapes choice[] = {{{V(6), V(6)}}, {{M(3, 2), V(2)}}, {{NODE, M(3, 2)}}};
 static const operand_shapes nodes[] = {{{NODE, NODE}}};
-static const operand_shapes terms[] = {{{NODE, NODE, NODE}}, {{V(4), V(4), V(4)}}, {{M(2, 3), M(2, 3), M(2, 3)}}};
+static const operand_shapes terms[] = {
+  {{NODE, NODE, NODE}}, {{V(4), V(4), V(4)}}, {{M(2, 3), M(2, 3), M(2, 3)}}};
 static const operand_shapes along[] = {{{T3(3, 4, 2)}}, {{T3(3, 4, 2)}}, {{V(5)}}, {{M(2, 19)}}};
 static const operand_shapes along_both[] = {
-  {{T3(3, 4, 2), T3(3, 4, 2)}}, {{T3(3, 4, 2), T3(3, 4, 2)}}, {{V(5), V(5)}}, {{M(2, 19), M(2, 19)}}};
+  {{T3(3, 4, 2), T3(3, 4, 2)}}, {{T3(3, 4, 2), T3(3, 4, 2)}}, {{V(5), V(5)}},
+  {{M(2, 19), M(2, 19)}}};
 static const operand_shapes products[] = {
   {{M(3, 4), M(4, 2)}}, {{M(4, 3), M(4, 2)}}, {{M(3, 4), M(2, 4)}}, {{M(4, 3), M(2, 4)}},
   {{T3(2, 3, 4), T3(2, 4, 2)}}, {{T3(2, 3, 4), M(4, 2)}}, {{M(3, 4), T3(2, 4, 2)}},
@@ -60,7 +62,8 @@ static const int product_flags[] = {
 static const operand_shapes affine[] = {
   {{M(3, 4), M(4, 5), V(5)}}, {{T3(2, 3, 4), M(4, 2), V(2)}}, {{V(4), M(4, 2), V(2)}}};
 static const operand_shapes systems[] = {
-  {{M(3, 3), M(3, 2)}}, {{M(4, 4), M(4, 1)}}, {{T3(2, 3, 3), T3(2, 3, 2)}}, {{T3(2, 3, 3), T3(2, 3, 2)}}};
+  {{M(3, 3), M(3, 2)}}, {{M(4, 4), M(4, 1)}}, {{T3(2, 3, 3), T3(2, 3, 2)}},
+  {{T3(2, 3, 3), T3(2, 3, 2)}}};
 static const int triangle_flags[] = {
   0, KG_UPPER | KG_UNIT, KG_TRANSPOSE_A, KG_TRANSPOSE_A | KG_UPPER};
 static const operand_shapes matrix[] = {{{M(3, 4)}}};
@@ -76,7 +79,8 @@ static const operand_shapes rotations[] = {{{V(4), V(3)}}, {{M(3, 4), M(3, 3)}}}
 static const operand_shapes graphs[] = {{{M(4, 3)}}, {{T3(2, 4, 2)}}};
 static const operand_shapes pair[] = {{{V(5), V(5)}}}, matrix_pair[] = {{{M(3, 3), M(3, 3)}}};
 static const operand_shapes signals[] = {
-  {{T3(2, 5, 2), T3(3, 2, 3), V(3)}}, {{T3(1, 6, 2), T3(2, 2, 2), V(2)}}, {{T3(2, 7, 1), T3(3, 1, 2), V(2)}}};
+  {{T3(2, 5, 2), T3(3, 2, 3), V(3)}}, {{T3(1, 6, 2), T3(2, 2, 2), V(2)}},
+  {{T3(2, 7, 1), T3(3, 1, 2), V(2)}}};
 /* clang-format on */
 
 /* -- recording --------------------------------------------------------------------------------- */
@@ -156,14 +160,16 @@ RECORD(stack, kg_stack(t, 2, v))
 RECORD(element, kg_element(t, v[0], 7))
 RECORD(gather, kg_gather(t, v[0], i, 5, (const int32_t[]){1, -1, 0, 1, 1}))
 RECORD(scatter, kg_scatter(t, v[0], 1, 3, (const int32_t[]){2, 0, -1, 2}))
-RECORD(aggregate, kg_aggregate(t, &(kg_sparse){3, 4, (const int32_t[]){0, 2, 2, 5}, (const int32_t[]){1, 3, 0, 1, 2},
+RECORD(aggregate, kg_aggregate(t, &(kg_sparse){3, 4, (const int32_t[]){0, 2, 2, 5},
+                                               (const int32_t[]){1, 3, 0, 1, 2},
                                                (const double[]){0.5, -1, 2, 0.3, 1}}, v[0]))
-RECORD(convolve, kg_convolve(t, v[0], v[1], v[2], i == 1 ? KG_PAD_CAUSAL : KG_PAD_SAME, i == 2 ? 2 : 1))
+RECORD(convolve, kg_convolve(t, v[0], v[1], v[2], i == 1 ? KG_PAD_CAUSAL : KG_PAD_SAME,
+                             i == 2 ? 2 : 1))
 RECORD(convolve_bare, kg_convolve(t, v[0], v[1], (kg_value){0}, KG_PAD_CAUSAL, 2))
 
 /* clang-format on */
 
-/* -- primitives: one of each kind, and the same function by operators --------------------------- */
+/* -- primitives: one of each kind, and the same function by operators -------------------------- */
 
 static kg_status like_first(void *user, int count, const kg_shape *shapes, kg_shape *result,
                             size_t *saved)
@@ -341,9 +347,12 @@ static kg_value record_segment(kg_tape *t, const kg_value *v, int variant)
 
 /* clang-format off */
 #define SET(set) set, (int)KG_COUNT_OF(set)
-#define UNARY_ROW(name, low, high) {#name, kg_op_##name, 1, record_##name, SET(one), low, high, NULL, false},
-#define BINARY_ROW(name, low, high) {#name, kg_op_##name, 2, record_##name, SET(two), low, high, NULL, false},
-#define ROW(name, operands, set) {#name, kg_op_##name, operands, record_##name, SET(set), -2, 2, NULL, false},
+#define UNARY_ROW(name, low, high)                                                                 \
+  {#name, kg_op_##name, 1, record_##name, SET(one), low, high, NULL, false},
+#define BINARY_ROW(name, low, high)                                                                \
+  {#name, kg_op_##name, 2, record_##name, SET(two), low, high, NULL, false},
+#define ROW(name, operands, set)                                                                   \
+  {#name, kg_op_##name, operands, record_##name, SET(set), -2, 2, NULL, false},
 #define PRIMITIVE(text, name, set, reference)                                                      \
   {text, kg_op_primitive, 2, record_##name, SET(set), 0.3, 2, reference, false},
 #define ROW_OF(text, op, name, operands, set, low, high)                                           \
@@ -363,13 +372,16 @@ static const row rows[] = {
   ROW(matmul, 2, products) ROW_OF("matmul A A'", matmul, gram, 1, matrix, -2, 2)
   ROW(affine, 3, affine) ROW_OF("affine without bias", affine, affine_bare, 2, affine, -2, 2)
   {"solve", kg_op_solve, 2, record_solve, SET(systems), -1, 1, NULL, true},
-  {"solve_triangular", kg_op_solve_triangular, 2, record_solve_triangular, SET(systems), -1, 1, NULL, true},
+  {"solve_triangular", kg_op_solve_triangular, 2, record_solve_triangular, SET(systems), -1, 1,
+   NULL, true},
   ROW(reshape, 1, matrix) ROW(broadcast, 1, spread) ROW(transpose, 1, tensor) ROW(slice, 1, tensor)
-  ROW(concat, 3, parts) ROW_OF("stack", concat, stack, 2, nodes, -2, 2) ROW(element, 1, matrix) ROW(gather, 1, tensor) ROW(scatter, 1, matrix)
+  ROW(concat, 3, parts) ROW_OF("stack", concat, stack, 2, nodes, -2, 2)
+  ROW(element, 1, matrix) ROW(gather, 1, tensor) ROW(scatter, 1, matrix)
   ROW(cross, 2, vector_pairs) ROW(compose, 2, quaternion_pairs) ROW(rotate, 2, rotations)
   ROW(rotation_exp, 1, vectors) ROW(rotation_log, 1, quaternions) ROW(normalize, 1, vectors)
   ROW(aggregate, 1, graphs)
-  ROW(convolve, 3, signals) ROW_OF("convolve without bias", convolve, convolve_bare, 2, signals, -2, 2)
+  ROW(convolve, 3, signals)
+  ROW_OF("convolve without bias", convolve, convolve_bare, 2, signals, -2, 2)
   PRIMITIVE("custom primitive", custom, pair, record_custom_by_operators)
   PRIMITIVE("implicit primitive", implicit, pair, record_cardano)
   PRIMITIVE("differentiated root", solved, pair, record_cardano)
@@ -382,8 +394,9 @@ static const row rows[] = {
 enum { BOTH, ABOVE };
 enum { SIDE, ZERO };
 
-/* Operand 0 is filled with a[0 .. period), over and over, operand 1 with b. The derivative there is that of the point
- * moved by 1e-13 of the side: side_a[], plus by_index times the number of the entry; side_b. */
+/* Operand 0 is filled with a[0 .. period), over and over, operand 1 with b. The derivative there is
+ * that of the point moved by 1e-13 of the side: side_a[], plus by_index times the number of the
+ * entry; side_b. */
 typedef struct kink {
   recording *record;
   int period;

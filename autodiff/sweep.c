@@ -118,9 +118,9 @@ static size_t stride_of(const kg_graph *graph, uint32_t id)
   return id & KG_TENSOR ? node->is.block->size * graph->lanes * graph->number : sizeof(double);
 }
 
-/* A long record is met in main memory: a block's head, operands, attributes and first numbers, which
- * lie side by side, and then its adjoint, are fetched before their turn. Inlined by force: gcc 12
- * drops calls of a function that does nothing else. */
+/* A long record is met in main memory: a block's head, operands, attributes and first numbers,
+ * which lie side by side, and then its adjoint, are fetched before their turn. Inlined by force:
+ * gcc 12 drops calls of a function that does nothing else. */
 static inline __attribute__((always_inline)) void fetch(const kg_graph *graph, const kg_node *node)
 {
   if (node - graph->node <= FAR) return;
@@ -318,7 +318,8 @@ static const char *tangent_of(const kg_graph *graph, uint32_t id, int direction)
   return tangent + (size_t)direction * stride_of(graph, id);
 }
 
-/* Tangents that are zero, of an input or of what was taken out of one, are left alone from here on. */
+/* Tangents that are zero, of an input or of what was taken out of one, are left alone from here
+ * on. */
 static void find_reached(const kg_graph *graph, kg_block *block)
 {
   const size_t bytes = block->size * graph->lanes * graph->number;
@@ -359,8 +360,8 @@ static void add_given(const kg_graph *graph, size_t start, void *tangent, size_t
   }
 }
 
-/* Directions in which no operand moves are left alone: of a chain of joints, for instance, each link
- * is moved by few of all angles. */
+/* Directions in which no operand moves are left alone: of a chain of joints, for instance, each
+ * link is moved by few of all angles. */
 static bool forward_block(kg_graph *graph, uint32_t index)
 {
   kg_block *block = graph->node[index].is.block;

@@ -1,5 +1,6 @@
-/* The derivatives of the upper floors as rows for `kinegrad gradcheck`: rotations, signed distances, contact,
- * dynamics, the step, the penetration loss. Those of the engine are in kg_registry (kinegrad/gradcheck.h). */
+/* The derivatives of the upper floors as rows for `kinegrad gradcheck`: rotations, signed
+ * distances, contact, dynamics, the step, the penetration loss. Those of the engine are in
+ * kg_registry (kinegrad/gradcheck.h). */
 #ifndef CLI_GRADCHECK_H
 #define CLI_GRADCHECK_H
 
@@ -8,7 +9,8 @@
 
 typedef struct cli_models cli_models;
 
-/* subject: whose body, ground and motion are used; NULL: a small body of our own at random poses. */
+/* subject: whose body, ground and motion are used; NULL: a small body of our own at random
+ * poses. */
 KG_MUST_USE kg_status cli_models_create(cli_models **models, const kg_subject *subject);
 void cli_models_destroy(cli_models *models);
 

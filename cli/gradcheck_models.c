@@ -1,8 +1,8 @@
 /* Derivatives of the upper floors, each against differences of the function it belongs to.
  *
- * Poses are moved in tangent space: the value of a row is f(q (+) d), its derivative is asked for at d = 0
- * (docs/theory/dynamics.md). Positions near the ground are measured in layers of the contact law, velocities there in
- * stick velocities, so that one step fits all of them. */
+ * Poses are moved in tangent space: the value of a row is f(q (+) d), its derivative is asked for
+ * at d = 0 (docs/theory/dynamics.md). Positions near the ground are measured in layers of the
+ * contact law, velocities there in stick velocities, so that one step fits all of them. */
 #include "cli/gradcheck.h"
 
 #include <math.h>
@@ -95,8 +95,9 @@ static kg_sdf_value distance(const cli_models *m, kg_vec3 x)
   return kg_scene_distance(&one, x);
 }
 
-/* Whether the normal turns smoothly around x: not across the border between the regions of two faces or edges, where
- * its derivative jumps. There its second difference is of order h over the distance, elsewhere of its square. */
+/* Whether the normal turns smoothly around x: not across the border between the regions of two
+ * faces or edges, where its derivative jumps. There its second difference is of order h over the
+ * distance, elsewhere of its square. */
 static bool turns_smoothly(const cli_models *m, kg_vec3 x)
 {
   const double h = 0.02;
@@ -146,7 +147,8 @@ static void normal_jacobian(cli_models *m, const double *x, double *J)
 
 /* ---- contact --------------------------------------------------------------------------------- */
 
-/* A point beside the sphere at Phi between -0.1 and 0.9 layers, moving up to a few stick velocities. */
+/* A point beside the sphere at Phi between -0.1 and 0.9 layers, moving up to a few stick
+ * velocities. */
 static void prepare_contact(cli_models *m, double *x)
 {
   const kg_sdf_shape *sphere = &m->shapes.shapes[1];
@@ -375,7 +377,8 @@ static const model table[] = {
   {"inverse dynamics (q, v, a)", -3, -1, 0, prepare_inverse, inverse_value, inverse_jacobian},
   {"step residual in contact", -1, -1, 0, prepare_step, step_value, step_jacobian},
   {"step residual in flight",  -1, -1, 0, prepare_flight, step_value, step_jacobian},
-  {"penetration loss",         -1, 1, 0, prepare_penetration, penetration_value, penetration_jacobian},
+  {"penetration loss",         -1, 1, 0, prepare_penetration, penetration_value,
+   penetration_jacobian},
 };
 /* clang-format on */
 
@@ -422,7 +425,8 @@ static kg_status vjp(void *user, const double *x, const double *w, double *xw)
   return KG_OK;
 }
 
-/* One point. Where differences cannot decide, because the second derivative jumps nearby, another one is drawn. */
+/* One point. Where differences cannot decide, because the second derivative jumps nearby, another
+ * one is drawn. */
 static kg_status check_point(checked *c, double *x, const kg_gradcheck_def *def,
                              kg_gradcheck_report *report, kg_error *error)
 {
@@ -464,15 +468,20 @@ kg_status cli_models_check(cli_models *models, int i, int points, const kg_gradc
 
 /* ---- what they work on ----------------------------------------------------------------------- */
 
-/* trunk, two legs of thigh, shank and foot, one arm: ball joints at the root, inside and at the ends */
+/* trunk, two legs of thigh, shank and foot, one arm: ball joints at the root, inside and at the
+ * ends */
 static kg_status create_small_body(kg_body **body)
 {
   /* clang-format off */
   static const struct { int parent; kg_vec3 offset, com; double mass; } rows[] = {
-    {-1, {0, 0, 0},         {0.01, 0.20, 0.02},  35}, {0, { 0.1, 0, 0},       {0, -0.2, 0.01},     8},
-    { 1, {0, -0.4, 0},      {0, -0.2, -0.01},     3}, {2, {0, -0.4, 0},       {0, -0.04, 0.05},    1},
-    { 0, {-0.1, 0, 0},      {0.01, -0.2, 0},      8}, {4, {0, -0.4, 0},       {0, -0.2, 0},        3},
-    { 5, {0, -0.4, 0},      {0, -0.04, 0.05},     1}, {0, {-0.2, 0.4, 0},     {-0.02, -0.25, 0},   4}};
+    {-1, {0, 0, 0},         {0.01, 0.20, 0.02},  35},
+    { 0, { 0.1, 0, 0},      {0, -0.2, 0.01},     8},
+    { 1, {0, -0.4, 0},      {0, -0.2, -0.01},     3},
+    { 2, {0, -0.4, 0},      {0, -0.04, 0.05},    1},
+    { 0, {-0.1, 0, 0},      {0.01, -0.2, 0},      8},
+    { 4, {0, -0.4, 0},      {0, -0.2, 0},        3},
+    { 5, {0, -0.4, 0},      {0, -0.04, 0.05},     1},
+    { 0, {-0.2, 0.4, 0},    {-0.02, -0.25, 0},   4}};
   /* clang-format on */
   enum { COUNT = KG_COUNT_OF(rows) };
   kg_segment segments[COUNT];

@@ -26,7 +26,8 @@ cli_output *cli_outputs_open(const char *path);
 /* True after a message: what `option` writes to is one of the regular files that are read, by
  * whatever name. path and inputs may be NULL. */
 bool cli_is_input(const char *option, const char *path, const char *const *inputs, int count);
-/* A stream on the temporary; cli_outputs_close is false after a message when not all was written. */
+/* A stream on the temporary; cli_outputs_close is false after a message when not all was
+ * written. */
 FILE *cli_output_stream(cli_output *output);
 bool cli_output_close(cli_output *output, FILE *stream);
 /* False after a message; then no output remains. */

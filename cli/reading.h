@@ -44,7 +44,8 @@ enum { CLI_QUIET_ONLY = 1, CLI_TALK_OPTION_COUNT = 2 };
 
 /* Reads the clip and prints its warnings. CLI_GOOD, or an exit code after a message. */
 int cli_read_clip(kg_clip **clip, const char *path, const cli_reading *reading, bool is_quiet);
-/* The same file read the way the capture was: its unit, axes and first frame are not guessed anew. */
+/* The same file read the way the capture was: its unit, axes and first frame are not guessed
+ * anew. */
 kg_status cli_read_output(kg_clip **clip, const char *path, const kg_clip *capture,
                           kg_error *error);
 /* Subject of a clip; extra may be NULL. */

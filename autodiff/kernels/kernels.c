@@ -22,7 +22,8 @@
 /* clang-format off */
 #define ROW(name, ...) [kg_op_##name] = {name##_forward, name##_vjp, name##_jvp},
 #define TENSOR_ROW(name) ROW(name, 0)
-#define PRIMITIVE_ROW [kg_op_primitive] = {kg_primitive_forward, kg_primitive_vjp, kg_primitive_jvp},
+#define PRIMITIVE_ROW                                                                              \
+  [kg_op_primitive] = {kg_primitive_forward, kg_primitive_vjp, kg_primitive_jvp},
 const kg_kernel KG_TABLE(KG_TYPE, KG_ISA)[KG_OP_COUNT] = {
   PRIMITIVE_ROW KG_UNARY_LIST(ROW) KG_TRIG_LIST(ROW) KG_CLAMP_LIST(ROW) KG_BINARY_LIST(ROW)
   CHOICE_ROWS REDUCTION_ROWS MATRIX_ROWS MOVE_ROWS ROTATION_ROWS NETWORK_ROWS

@@ -31,7 +31,8 @@ KG_API void *kg_arena_alloc(kg_arena *arena, size_t count, size_t size);
 /* Copy of the first length bytes of text, zero-terminated. */
 KG_API char *kg_arena_text(kg_arena *arena, const char *text, size_t length);
 
-/* Memory with any content for bytes bytes, at a multiple of alignment (a power of two, at most 64). */
+/* Memory with any content for bytes bytes, at a multiple of alignment (a power of two, at most
+ * 64). */
 KG_API void *kg_arena_take(kg_arena *arena, size_t bytes, size_t alignment);
 
 KG_API bool kg_arena_failed(const kg_arena *arena);
@@ -53,7 +54,8 @@ KG_API size_t kg_arena_bytes(const kg_arena *arena);
 /* Frees every block; the arena may be used again. */
 KG_API void kg_arena_release(kg_arena *arena);
 
-#define KG_ARENA_ARRAY(arena, type, count) ((type *)kg_arena_alloc((arena), (size_t)(count), sizeof(type)))
+#define KG_ARENA_ARRAY(arena, type, count)                                                         \
+  ((type *)kg_arena_alloc((arena), (size_t)(count), sizeof(type)))
 
 #ifdef __cplusplus
 }

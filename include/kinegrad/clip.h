@@ -5,10 +5,10 @@
  * what was not changed is written back as it came) and as local rotations and translations in SI
  * units with Y up. kg_clip_set_* keep the two in step.
  *
- * Local frames: world rotation of joint j is R_parent * rotation[j]; world position is
- * p_parent + R_parent * translation[j]. For a joint without position channels translation is its
- * offset; position channels replace the offset, each its own component. Up-axis and unit conversion touch only root joints' frames and all lengths; the other
- * joints' local frames are the file's. */
+ * Local frames: world rotation of joint j is R_parent * rotation[j]; world position is p_parent +
+ * R_parent * translation[j]. For a joint without position channels translation is its offset;
+ * position channels replace the offset, each its own component. Up-axis and unit conversion touch
+ * only root joints' frames and all lengths; the other joints' local frames are the file's. */
 #ifndef KINEGRAD_CLIP_H
 #define KINEGRAD_CLIP_H
 
@@ -90,8 +90,8 @@ KG_API kg_clip_def kg_clip_default_def(void);
 /* Reads BVH or AMC, recognised by content. Counts in the file are checked, memory follows the data:
  * frames that are declared but missing, a last frame that was cut off and frames beyond the
  * declared number are left out with a warning. Limits: 4096 joints (ASF: 1024), nested 512 deep,
- * 6 different channels each, numbers up to 1e12, frame times from 1e-6 s. On failure *clip is NULL, nothing stays allocated, and
- * *error has path, line, column and one sentence.
+ * 6 different channels each, numbers up to 1e12, frame times from 1e-6 s. On failure *clip is NULL,
+ * nothing stays allocated, and *error has path, line, column and one sentence.
  * KG_ERR_READ: missing or unreadable file, skeleton of an AMC not found.  KG_ERR_FORMAT: malformed
  * content.  KG_ERR_UNSUPPORTED: an ASF whose bones change their length.  KG_ERR_NO_MEMORY. */
 KG_API KG_MUST_USE kg_status kg_clip_read(kg_clip **clip, const char *path, const kg_clip_def *def,
@@ -111,8 +111,9 @@ KG_API KG_MUST_USE kg_status kg_clip_read_amc_text(kg_clip **clip, const char *a
                                                    kg_error *error);
 
 /* Writes BVH: hierarchy, channel order and frame time as read (an AMC gets a hierarchy of its own),
- * all frames, and every channel value so that it reads back as the same double. Written beside the target and renamed, so an existing file is replaced only when the
- * new one is complete. KG_ERR_WRITE. */
+ * all frames, and every channel value so that it reads back as the same double. Written beside the
+ * target and renamed, so an existing file is replaced only when the new one is complete.
+ * KG_ERR_WRITE. */
 KG_API KG_MUST_USE kg_status kg_clip_write_bvh(const kg_clip *clip, const char *path,
                                                kg_error *error);
 
@@ -127,10 +128,10 @@ KG_API KG_MUST_USE kg_status kg_clip_resample(kg_clip **copy, const kg_clip *cli
 KG_API void kg_clip_destroy(kg_clip *clip); /* NULL is allowed */
 
 /* Sets the local rotation (translation, m) of a joint in a frame and updates its channel values:
- * Euler angles nearest to those of `previous_frame` (-1: nearest to the frame's own values), rounded
- * to 1e-9 of a degree or unit. Values that say the same already stay as they are.
- * A joint with fewer than three rotation channels gets the nearest rotation it can express; a
- * position component without a channel keeps the offset's value. */
+ * Euler angles nearest to those of `previous_frame` (-1: nearest to the frame's own values),
+ * rounded to 1e-9 of a degree or unit. Values that say the same already stay as they are. A joint
+ * with fewer than three rotation channels gets the nearest rotation it can express; a position
+ * component without a channel keeps the offset's value. */
 KG_API void kg_clip_set_rotation(kg_clip *clip, int frame, int joint, kg_quat rotation,
                                  int previous_frame);
 KG_API void kg_clip_set_translation(kg_clip *clip, int frame, int joint, kg_vec3 translation);

@@ -90,8 +90,8 @@ typedef struct kg_correct_result {
 
   /* residuals (docs/theory/metrics.md) */
   double peak_grf;                                  /* N                                        */
-  double residual_force_rms, residual_force_peak;   /* over peak_grf; over the weight if that is 0 */
-  double residual_moment_rms, residual_moment_peak; /* over peak_grf * com height */
+  double residual_force_rms, residual_force_peak;   /* over peak_grf, or the weight if that is 0 */
+  double residual_moment_rms, residual_moment_peak; /* over peak_grf * com height               */
   double correction_force_ratio;                    /* RMS over peak_grf                        */
   double correction_force_ratio_peak;
   int unexplained_count;

@@ -4,13 +4,13 @@
  *   L_coll = sum_k max(-Phi(x_k), 0)^2                                                   (10)
  *   q     <- q (+) (-eta grad L_coll), eta limited so that L_coll falls as predicted     (11)
  *
- * The gradient is taken in the metric of the mass matrix over the total mass, which for a move of the
- * whole body is the plain one.
+ * The gradient is taken in the metric of the mass matrix over the total mass, which for a move of
+ * the whole body is the plain one.
  *
  * Second order: the least move D in the mass metric of the start, min 1/2 D' M(q_0) D subject to
- * Phi_k(q_0 (+) D) >= 0, by sequential quadratic programming. The gradient method ends with the same
- * steps, so that both leave the body at the surface.
- * (9) to (11) are equations of the paper cited there. */
+ * Phi_k(q_0 (+) D) >= 0, by sequential quadratic programming. The gradient method ends with the
+ * same steps, so that both leave the body at the surface. (9) to (11) are equations of the paper
+ * cited there. */
 #ifndef KINEGRAD_CORRECTION_H
 #define KINEGRAD_CORRECTION_H
 

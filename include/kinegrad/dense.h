@@ -21,8 +21,8 @@ KG_API void kg_dense_lu_solve(const double *LU, const int *pivots, int n, double
 KG_API void kg_dense_lu_solve_transposed(const double *LU, const int *pivots, int n, double *b,
                                          int count);
 
-/* A = L L' of a symmetric positive definite A: reads the lower triangle and overwrites it with L; the
- * strict upper triangle is neither read nor written. False when A is not positive definite. */
+/* A = L L' of a symmetric positive definite A: reads the lower triangle and overwrites it with L;
+ * the strict upper triangle is neither read nor written. False when A is not positive definite. */
 KG_API KG_MUST_USE bool kg_dense_cholesky_factor(double *A, int n);
 
 /* Solves A x = b for (count, n) right-hand sides as above. L from kg_dense_cholesky_factor. */

@@ -50,10 +50,10 @@ KG_API kg_status kg_jacobian(kg_tape *tape, kg_value output, kg_value input, dou
  * [A. Curtis, M. Powell, J. Reid, IMA J. Appl. Math. 13 (1974)]. Only the pattern is read. */
 KG_API kg_status kg_colour_columns(const kg_sparse *pattern, int32_t *colour, int *colours);
 
-/* The entries of the pattern, in its order: values[k] = J(row, column[k]). KG_ERR_SHAPE for a pattern
- * of other sizes, a colour that is not among 0 .. colours - 1, and two columns of one colour in one
- * row: their entries would be added up. Entries of J outside the pattern are not looked for; they
- * end up in those of their colour. */
+/* The entries of the pattern, in its order: values[k] = J(row, column[k]). KG_ERR_SHAPE for a
+ * pattern of other sizes, a colour that is not among 0 .. colours - 1, and two columns of one
+ * colour in one row: their entries would be added up. Entries of J outside the pattern are not
+ * looked for; they end up in those of their colour. */
 KG_API kg_status kg_jacobian_coloured(kg_tape *tape, kg_value output, kg_value input,
                                       const kg_sparse *pattern, const int32_t *colour, int colours,
                                       double *values);

@@ -1,8 +1,8 @@
 /* kinegrad/gradcheck.h - is this derivative right? Any function, four independent questions.
  *
- *   entries          J' e_i and J e_j against numerical differentiation, entry by entry: complex step [CS] where
- *                    the function can be run in complex numbers, else extrapolated central differences with
- *                    their own error estimate [Ridders]
+ *   entries          J' e_i and J e_j against numerical differentiation, entry by entry: complex
+ *                    step [CS] where the function can be run in complex numbers, else extrapolated
+ *                    central differences with their own error estimate [Ridders]
  *   Taylor order     |f(x + h d) - f(x) - h J d| falls like h^2 along random directions d
  *   dot test         <w, J d> = <J' w, d>
  *   repeatability    a second and a third call return the same bits, other points in between
@@ -45,8 +45,8 @@ typedef struct kg_gradcheck_def {
   double tolerance;         /* 1e-7: error of an entry against differences        */
   double complex_tolerance; /* 1e-12: against a complex step                      */
   double dot_tolerance;     /* 1e-13: of the product of the norms                 */
-  double step; /* 1e-2: first step of the differences, times max(1, |x_j|); where they do not settle
-                               it is made smaller */
+  /* 1e-2: first step of the differences, times max(1, |x_j|); smaller where they do not settle. */
+  double step;
   int directions; /* 3: random directions for Taylor and dot tests      */
   bool taylor;    /* true; off where the function is known to have kinks nearby */
   uint64_t seed;  /* 1 */
@@ -58,26 +58,28 @@ KG_API kg_gradcheck_def kg_gradcheck_default_def(void);
 typedef struct kg_gradcheck_report {
   const char *name;
   bool passed;
-  bool undecided; /* not passed, and nothing speaks against it but a numerical derivative that is not good enough */
+  /* Not passed, but only because a numerical derivative is not good enough to tell. */
+  bool undecided;
   const char *method;               /* "complex step" or "differences" */
   double tolerance;                 /* the one in force                */
   double max_relative_error;        /* of an entry; NaN where a value or product is not a number */
   size_t worst_output, worst_input; /* where, and both numbers */
   double worst_analytic, worst_numeric;
   bool not_a_number; /* y[worst_output] itself, then worst_analytic, is NaN or infinite */
-  double
-    error_estimate; /* largest relative error of the numerical derivative itself; 0: complex step */
-  double
-    dot_test; /* largest |<w, J d> - <J' w, d>| / (|w| |J d| + |J' w| |d|); without a jvp, J d is
-                                put together from the rows J' e_i, which tests that J' w is linear in w */
-  double taylor_order; /* least of all outputs and directions: 2 is right, below 1.5 fails;
-                                +inf: remainder at rounding, NaN: not measured */
+  /* Largest relative error of the numerical derivative itself; 0: complex step. */
+  double error_estimate;
+  /* Largest |<w, J d> - <J' w, d>| / (|w| |J d| + |J' w| |d|). Without a jvp, J d is put together
+   * from the rows J' e_i, which tests that J' w is linear in w. */
+  double dot_test;
+  /* Least of all outputs and directions: 2 is right, below 1.5 fails; +inf: remainder at rounding,
+   * NaN: not measured. */
+  double taylor_order;
   bool repeatable;
 } kg_gradcheck_report;
 
 /* KG_OK when the check could be made, whatever its answer; a failure of the function itself at x is
- * returned, and KG_ERR_UNDEFINED for a function without value or vjp. Steps to points where it is undefined (KG_ERR_UNDEFINED or not finite) are made
- * smaller. */
+ * returned, and KG_ERR_UNDEFINED for a function without value or vjp. Steps to points where it is
+ * undefined (KG_ERR_UNDEFINED or not finite) are made smaller. */
 KG_API kg_status kg_gradcheck(const kg_differentiable *function, const double *x,
                               const kg_gradcheck_def *def, kg_gradcheck_report *report,
                               kg_error *error);

@@ -36,7 +36,7 @@ KG_API kg_sdf_value kg_sdf_capsule(kg_vec3 a, kg_vec3 b, double radius, kg_vec3 
  * Outside the grid the border heights continue outwards. */
 typedef struct kg_height_field kg_height_field;
 
-/* heights: (rows, columns), row index along z, column along x; spacing > 0 in m; rows, columns >= 2.
+/* heights: (rows, columns), two each at least, row index along z, column along x; spacing > 0 in m.
  * origin: world position of heights[0] at height 0. Copied.
  * KG_ERR_FORMAT: a height that is not finite. KG_ERR_UNSUPPORTED: more than 1.3e8 heights. */
 KG_API KG_MUST_USE kg_status kg_height_field_create(kg_height_field **field, const double *heights,
@@ -45,11 +45,12 @@ KG_API KG_MUST_USE kg_status kg_height_field_create(kg_height_field **field, con
 KG_API void kg_height_field_destroy(kg_height_field *field);
 KG_API kg_sdf_value kg_height_field_distance(const kg_height_field *field, kg_vec3 x);
 
-/* ---- triangle meshes (sdf/mesh.c; files through OpenMesh in sdf/openmesh_shim.cpp) ------------ */
+/* ---- triangle meshes (sdf/mesh.c; files through OpenMesh in sdf/openmesh_shim.cpp) ----------- */
 
 typedef struct kg_mesh kg_mesh;
 
-/* What was found while building (vertices at the same place count as one); text holds one line per finding, "" when the mesh is clean. */
+/* What was found while building (vertices at the same place count as one); text holds one line per
+ * finding, "" when the mesh is clean. */
 typedef struct kg_mesh_report {
   int vertices, triangles;
   int boundary_edges;     /* > 0: open; distance is then signed by the nearest side only */
@@ -71,10 +72,10 @@ KG_API KG_MUST_USE kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *verti
                                             int triangle_count, kg_mesh_report *report,
                                             const kg_allocator *allocator, kg_error *error);
 
-/* OBJ, PLY, OFF or STL (by extension) through OpenMesh; polygons, taken as convex, are triangulated;
- * lengths times unit_m. Coordinates are read in single precision (6e-8 of their size).
- * KG_ERR_READ: no such file, or empty. KG_ERR_FORMAT: another extension, a damaged or shortened
- * file, and as kg_mesh_create. KG_ERR_UNSUPPORTED: a PLY list with a 32-bit length. */
+/* OBJ, PLY, OFF or STL (by extension) through OpenMesh; polygons, taken as convex, are
+ * triangulated; lengths times unit_m. Coordinates are read in single precision (6e-8 of their
+ * size). KG_ERR_READ: no such file, or empty. KG_ERR_FORMAT: another extension, a damaged or
+ * shortened file, and as kg_mesh_create. KG_ERR_UNSUPPORTED: a PLY list with a 32-bit length. */
 KG_API KG_MUST_USE kg_status kg_mesh_read(kg_mesh **mesh, const char *path, double unit_m,
                                           kg_mesh_report *report, const kg_allocator *allocator,
                                           kg_error *error);
