@@ -73,7 +73,7 @@ json_t *cli_json_text(const char *text)
 
 void cli_json_set_text(json_t *object, const char *key, const char *text)
 {
-  json_object_set_new(object, key, cli_json_text(text));
+  json_object_set_new(object, key, text ? cli_json_text(text) : json_null());
 }
 
 void cli_json_set_bool(json_t *object, const char *key, bool value)

@@ -20,7 +20,7 @@ json_t *cli_json_text(const char *text); /* bytes that are no UTF-8: ? */
 
 void cli_json_set_number(json_t *object, const char *key, double value);
 void cli_json_set_integer(json_t *object, const char *key, long value);
-void cli_json_set_text(json_t *object, const char *key, const char *text);
+void cli_json_set_text(json_t *object, const char *key, const char *text); /* NULL: null */
 void cli_json_set_bool(json_t *object, const char *key, bool value);
 
 /* {"schema": 1, "kinegrad": VERSION, "command": ...} */
