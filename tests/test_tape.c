@@ -274,6 +274,27 @@ static void a_zero_adjoint_stops(void **state)
   }
 }
 
+/* ... nor do zeros among several seeds or tangents: d sqrt(x) is infinite at 0 */
+static void a_zero_direction_stops(void **state)
+{
+  (void)state;
+  kg_tape *tape = new_tape(KG_DOUBLE);
+  const kg_value x = kg_scalar(tape, 0), root = kg_sqrt(tape, x);
+  const double seeds[4] = {0, 2, 0, 0}, *const seed = seeds;
+  for (int directions = 1; directions <= 4; ++directions) {
+    double result[4], *const results = result;
+    assert_int_equal(kg_vjp(tape, directions, 1, &root, &seed, 1, &x, &results), KG_OK);
+    for (int s = 0; s < directions; ++s) {
+      assert_true(s == 1 ? isinf(result[s]) : result[s] == 0);
+    }
+    assert_int_equal(kg_jvp(tape, directions, 1, &x, &seed, 1, &root, &results), KG_OK);
+    for (int s = 0; s < directions; ++s) {
+      assert_true(s == 1 ? isinf(result[s]) : result[s] == 0);
+    }
+  }
+  kg_tape_destroy(tape);
+}
+
 static void the_trace_names_the_first_bad_value(void **state)
 {
   (void)state;
@@ -706,6 +727,7 @@ int main(void)
     cmocka_unit_test(scalars_come_many_at_once),
     cmocka_unit_test(malformed_shapes_are_refused),
     cmocka_unit_test(a_zero_adjoint_stops),
+    cmocka_unit_test(a_zero_direction_stops),
     cmocka_unit_test(the_trace_names_the_first_bad_value),
     cmocka_unit_test(primitives_are_traced_by_name),
     cmocka_unit_test(the_adjoint_trace_blames_the_rule_that_did_it),
