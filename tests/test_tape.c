@@ -292,6 +292,12 @@ static void a_zero_direction_stops(void **state)
       assert_true(s == 1 ? isinf(result[s]) : result[s] == 0);
     }
   }
+  const kg_value operands[2] = {kg_scalar(tape, 1), kg_scalar(tape, 0)}; /* both slopes infinite */
+  const kg_value ratio = kg_div(tape, operands[0], operands[1]);
+  const double by_a[3] = {1, 0, 0}, by_b[3] = {0, 1, 0}, *const tangents[2] = {by_a, by_b};
+  double moved[3], *const results = moved;
+  assert_int_equal(kg_jvp(tape, 3, 2, operands, tangents, 1, &ratio, &results), KG_OK);
+  assert_true(moved[0] == HUGE_VAL && moved[1] == -HUGE_VAL && moved[2] == 0);
   kg_tape_destroy(tape);
 }
 
