@@ -475,7 +475,7 @@ if "$kinegrad" bench -h >/dev/null 2>&1; then
   claim "bench: where the data come from" grep -q "^ba1_loss: bad/adbench/ba1\.txt, perturbed" stdout.txt
   claim "bench: compiler and flags" grep -Eq "^plain C  .*-O3.* -ffp-contract=fast" stdout.txt
   run 0 bench --help
-  claim "bench: where data come from unless told" grep -q "default: \.\./shared/adbench if" stdout.txt
+  claim "bench: where data come from unless told" grep -q "default: \.\./shared/adbench" stdout.txt
   run 0 bench --filter mlp_relu --rounds 1 --json alone.json
   claim "bench: a time beside no other's" grep -Eq '"name": "mlp_relu recorded", "value": [0-9.e-]+, "unit": "ms", "peer": null, "peer_value": null, "ratio": null, "agreement": [0-9.e-]+' alone.json
   run 0 bench autodiff --filter ba1 --data bad/adbench --rounds 1 --json ratios.json
