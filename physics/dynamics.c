@@ -8,6 +8,7 @@
  *
  * World axes; all spatial quantities about O, the root position of the call's q, which does not
  * move while differentiating. [a] is the matrix of the cross product with a, R' the transpose. */
+#include "physics/kernels/kernels.h"
 #include "physics/physics.h"
 #include "physics/rows.h"
 #include "physics/tree.h"
@@ -94,6 +95,51 @@ static inline kg_mat63 motion_cross(kg_motion m, const kg_mat63 *S)
 
 /* ---- object -----------------------------------------------------------------------------------*/
 
+/* Moments about the joint: I = I_com + m (c.c 1 - c c'). */
+static void copy_model(kg_model *model, const kg_body *body)
+{
+  for (int i = 0; i < body->segment_count; i++) {
+    const kg_segment *s = &body->segments[i];
+    const kg_vec3 c = s->com, h = kg_vec3_scale(s->mass, c);
+    kg_link_model *l = &model->links[i];
+    l->parent = s->parent;
+    l->mass = s->mass;
+    kg_store3(l->h, h);
+    kg_store3(l->offset, i == 0 ? kg_vec3_make(0.0, 0.0, 0.0) : s->offset);
+    const double own[6] = {h.y * c.y + h.z * c.z,
+                           h.x * c.x + h.z * c.z,
+                           h.x * c.x + h.y * c.y,
+                           -h.x * c.y,
+                           -h.x * c.z,
+                           -h.y * c.z};
+    for (int k = 0; k < 6; k++) {
+      l->inertia[k] = s->inertia[k] + own[k];
+    }
+  }
+}
+
+static size_t scratch_of(const kg_physics_kernels *kernels)
+{
+  const size_t one = kernels->one->scratch;
+  return kernels->eight && kernels->eight->scratch > one ? kernels->eight->scratch : one;
+}
+
+static kg_model *create_model(const kg_body *body, const kg_physics_kernels *kernels,
+                              kg_arena *arena)
+{
+  const int n = body->segment_count;
+  kg_model *model = KG_ARENA_ARRAY(arena, kg_model, 1);
+  const kg_model made = {.n = n,
+                         .links = KG_ARENA_ARRAY(arena, kg_link_model, n),
+                         .scratch = kg_arena_alloc(arena, (size_t)n, scratch_of(kernels))};
+  if (kg_arena_failed(arena)) {
+    return NULL;
+  }
+  *model = made;
+  copy_model(model, body);
+  return model;
+}
+
 static void copy_segments(kg_dynamics *d, const kg_body *body)
 {
   for (int i = 0; i < body->segment_count; i++) {
@@ -115,7 +161,11 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   kg_arena_init(&arena, allocator);
   const int n = body->segment_count;
   kg_dynamics *d = KG_ARENA_ARRAY(&arena, kg_dynamics, 1);
-  kg_dynamics made = {.body = body, .gravity = {0.0, -9.8, 0.0}, .n = n};
+  kg_dynamics made = {.body = body, .n = n, .kernels = kg_physics_kernels_best()};
+  made.model = create_model(body, made.kernels, &arena);
+  for (int k = 0; k < 4; k++) {
+    made.lanes[k] = KG_ARENA_ARRAY(&arena, double, 8 * body->nq);
+  }
   made.links = KG_ARENA_ARRAY(&arena, kg_link, n);
   made.S = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
   made.psi = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
@@ -126,6 +176,8 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   kg_tree_init(&made.tree, body, &arena);
   kg_tree_matrix_init(&made.A, &made.tree, &arena);
   kg_chain_init(&made.chain, body, &arena);
+  kg_tree_matrix_init(&made.M, &made.tree, &arena);
+  made.forward = KG_ARENA_ARRAY(&arena, double, body->nv);
   if (kg_arena_failed(&arena)) {
     kg_arena_release(&arena);
     return KG_ERR_NO_MEMORY;
@@ -134,6 +186,7 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   made.arena = arena;
   *d = made;
   copy_segments(d, body);
+  kg_dynamics_set_gravity(d, kg_vec3_make(0.0, -9.8, 0.0));
   *dynamics = d;
   return KG_OK;
 }
@@ -149,6 +202,7 @@ void kg_dynamics_destroy(kg_dynamics *dynamics)
 void kg_dynamics_set_gravity(kg_dynamics *dynamics, kg_vec3 gravity)
 {
   dynamics->gravity = gravity;
+  kg_store3(dynamics->model->gravity, gravity);
 }
 
 /* ---- stages of inverse dynamics ---------------------------------------------------------------*/
@@ -587,8 +641,141 @@ static void run_inverse(kg_dynamics *d, const double *q, const double *v, const 
 void kg_dynamics_inverse(kg_dynamics *dynamics, double *tau, const double *q, const double *v,
                          const double *a)
 {
-  run_inverse(dynamics, q, v, a);
-  kg_links_project(dynamics, tau);
+  dynamics->kernels->one->inverse(dynamics->model, tau, q, v, a);
+}
+
+void kg_dynamics_forward(kg_dynamics *dynamics, double *a, const double *q, const double *v,
+                         const double *tau)
+{
+  dynamics->kernels->one->forward(dynamics->model, a, q, v, tau);
+}
+
+void kg_dynamics_mass_solve(kg_dynamics *dynamics, double *x, const double *q)
+{
+  dynamics->kernels->one->mass_solve(dynamics->model, x, q, NULL, x);
+}
+
+/* ---- many frames ------------------------------------------------------------------------------*/
+
+typedef void frame_call(const kg_model *model, double *out, const double *q, const double *x,
+                        const double *y);
+
+/* width numbers of `frames` frames into lanes; the lanes left over repeat the last frame. */
+static void to_lanes(double *lanes, const double *rows, int width, int frames)
+{
+  for (int f = 0; f < 8; f++) {
+    const double *row = rows + (size_t)(f < frames ? f : frames - 1) * (size_t)width;
+    for (int k = 0; k < width; k++) {
+      lanes[8 * k + f] = row[k];
+    }
+  }
+}
+
+static void from_lanes(double *rows, const double *lanes, int width, int frames)
+{
+  for (int f = 0; f < frames; f++) {
+    double *row = rows + (size_t)f * (size_t)width;
+    for (int k = 0; k < width; k++) {
+      row[k] = lanes[8 * k + f];
+    }
+  }
+}
+
+/* Eight frames where there are no vectors: one at a time. */
+static void run_lanes_singly(kg_dynamics *d, frame_call *one, double *out, const double *q,
+                             const double *x, const double *y)
+{
+  double *own[4] = {d->lanes[0], d->lanes[1], d->lanes[2], d->lanes[3]};
+  const int nq = d->body->nq, nv = d->body->nv;
+  for (int f = 0; f < 8; f++) {
+    for (int k = 0; k < nq; k++) {
+      own[0][k] = q[8 * k + f];
+    }
+    for (int k = 0; k < nv; k++) {
+      own[1][k] = x[8 * k + f];
+      own[2][k] = y[8 * k + f];
+    }
+    one(d->model, own[3], own[0], own[1], own[2]);
+    for (int k = 0; k < nv; k++) {
+      out[8 * k + f] = own[3][k];
+    }
+  }
+}
+
+/* Eight at a time, the last ones singly when they are few. */
+static void run_many(kg_dynamics *d, frame_call *one, frame_call *eight, int count, double *out,
+                     const double *q, const double *x, const double *y)
+{
+  const int nq = d->body->nq, nv = d->body->nv;
+  for (int first = 0; first < count;) {
+    const int left = count - first;
+    const size_t at_q = (size_t)first * (size_t)nq, at_v = (size_t)first * (size_t)nv;
+    if (!eight || left < 3) {
+      one(d->model, out + at_v, q + at_q, x + at_v, y + at_v);
+      first++;
+      continue;
+    }
+    const int frames = left < 8 ? left : 8;
+    to_lanes(d->lanes[0], q + at_q, nq, frames);
+    to_lanes(d->lanes[1], x + at_v, nv, frames);
+    to_lanes(d->lanes[2], y + at_v, nv, frames);
+    eight(d->model, d->lanes[3], d->lanes[0], d->lanes[1], d->lanes[2]);
+    from_lanes(out + at_v, d->lanes[3], nv, frames);
+    first += frames;
+  }
+}
+
+void kg_dynamics_inverse_lanes(kg_dynamics *dynamics, double *tau, const double *q, const double *v,
+                               const double *a)
+{
+  kg_dynamics *d = dynamics;
+  if (d->kernels->eight) {
+    d->kernels->eight->inverse(d->model, tau, q, v, a);
+  } else {
+    run_lanes_singly(d, d->kernels->one->inverse, tau, q, v, a);
+  }
+}
+
+void kg_dynamics_forward_lanes(kg_dynamics *dynamics, double *a, const double *q, const double *v,
+                               const double *tau)
+{
+  kg_dynamics *d = dynamics;
+  if (d->kernels->eight) {
+    d->kernels->eight->forward(d->model, a, q, v, tau);
+  } else {
+    run_lanes_singly(d, d->kernels->one->forward, a, q, v, tau);
+  }
+}
+
+void kg_dynamics_inverse_many(kg_dynamics *dynamics, int count, double *tau, const double *q,
+                              const double *v, const double *a)
+{
+  const kg_physics_kernels *k = dynamics->kernels;
+  run_many(dynamics, k->one->inverse, k->eight ? k->eight->inverse : NULL, count, tau, q, v, a);
+}
+
+void kg_dynamics_forward_many(kg_dynamics *dynamics, int count, double *a, const double *q,
+                              const double *v, const double *tau)
+{
+  const kg_physics_kernels *k = dynamics->kernels;
+  run_many(dynamics, k->one->forward, k->eight ? k->eight->forward : NULL, count, a, q, v, tau);
+}
+
+void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const double *v,
+                              const double *a, kg_vec3 *p_ddot, kg_vec3 *alpha)
+{
+  kg_dynamics *d = dynamics;
+  kg_links_pose(d, q);
+  kg_links_velocity(d, v);
+  kg_links_acceleration(d, v, a);
+  for (int i = 0; i < d->n; i++) {
+    if (p_ddot) {
+      p_ddot[i] = kg_vec3_add(d->links[i].p_ddot, d->gravity);
+    }
+    if (alpha) {
+      alpha[i] = d->links[i].alpha;
+    }
+  }
 }
 
 void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q)
@@ -599,38 +786,101 @@ void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q)
   kg_tree_to_dense(&dynamics->tree, &dynamics->A, M);
 }
 
+static void prepare_derivatives(kg_dynamics *d, const double *q, const double *v, const double *a)
+{
+  run_inverse(d, q, v, a);
+  kg_tree_clear_external(d);
+  kg_tree_prepare(d);
+}
+
+/* (13) */
+static void inverse_by_position(kg_dynamics *d, kg_tree_matrix *A)
+{
+  for (int b = 0; b <= d->n; b++) {
+    d->pencil[b] = (kg_pencil){d->S[b], d->psi[b], d->psi_dot[b]};
+  }
+  kg_tree_jacobian(d, A);
+}
+
+static void inverse_by_velocity(kg_dynamics *d, kg_tree_matrix *A)
+{
+  const kg_mat63 zero = {{{0.0}}, {{0.0}}};
+  for (int b = 0; b <= d->n; b++) {
+    kg_mat63 W = d->psi[b];
+    add_scaled(&W.w, 1.0, &d->S_dot[b].w);
+    add_scaled(&W.v, 1.0, &d->S_dot[b].v);
+    d->pencil[b] = (kg_pencil){zero, d->S[b], W};
+  }
+  kg_tree_jacobian(d, A);
+}
+
 void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, double *dtau_dv,
                                      double *M, double *tau, const double *q, const double *v,
                                      const double *a)
 {
   kg_dynamics *d = dynamics;
-  run_inverse(d, q, v, a);
   if (tau) {
-    kg_links_project(d, tau);
+    kg_dynamics_inverse(d, tau, q, v, a);
   }
-  kg_tree_clear_external(d);
-  kg_tree_prepare(d);
-  const kg_mat63 zero = {{{0.0}}, {{0.0}}};
-  if (dtau_dq) { /* (13) */
-    for (int b = 0; b <= d->n; b++) {
-      d->pencil[b] = (kg_pencil){d->S[b], d->psi[b], d->psi_dot[b]};
-    }
-    kg_tree_jacobian(d, &d->A);
+  prepare_derivatives(d, q, v, a);
+  if (dtau_dq) {
+    inverse_by_position(d, &d->A);
     kg_tree_to_dense(&d->tree, &d->A, dtau_dq);
   }
   if (dtau_dv) {
-    for (int b = 0; b <= d->n; b++) {
-      kg_mat63 W = d->psi[b];
-      add_scaled(&W.w, 1.0, &d->S_dot[b].w);
-      add_scaled(&W.v, 1.0, &d->S_dot[b].v);
-      d->pencil[b] = (kg_pencil){zero, d->S[b], W};
-    }
-    kg_tree_jacobian(d, &d->A);
+    inverse_by_velocity(d, &d->A);
     kg_tree_to_dense(&d->tree, &d->A, dtau_dv);
   }
   if (M) {
     mass_matrix(d, &d->A);
     kg_tree_to_dense(&d->tree, &d->A, M);
+  }
+}
+
+/* out = -M^-1 A for the factors of M */
+static void solve_negative(const kg_dynamics *d, double *out)
+{
+  const int nv = d->body->nv;
+  kg_tree_to_dense(&d->tree, &d->A, out);
+  for (int k = 0; k < nv * nv; k++) {
+    out[k] = -out[k];
+  }
+  kg_tree_solve_many(&d->tree, &d->M, out, nv);
+}
+
+/* With ID(q, v, a) = tau held: dID/dq dq + M da = 0. */
+void kg_dynamics_forward_derivatives(kg_dynamics *dynamics, double *da_dq, double *da_dv,
+                                     double *da_dtau, double *a, const double *q, const double *v,
+                                     const double *tau)
+{
+  kg_dynamics *d = dynamics;
+  const int nv = d->body->nv;
+  kg_dynamics_forward(d, d->forward, q, v, tau);
+  if (a) {
+    memcpy(a, d->forward, (size_t)nv * sizeof *a);
+  }
+  prepare_derivatives(d, q, v, d->forward);
+  mass_matrix(d, &d->M);
+  const bool regular = kg_tree_factor(&d->tree, &d->M);
+  if (da_dq) {
+    inverse_by_position(d, &d->A);
+    solve_negative(d, da_dq);
+  }
+  if (da_dv) {
+    inverse_by_velocity(d, &d->A);
+    solve_negative(d, da_dv);
+  }
+  if (da_dtau) {
+    for (int k = 0; k < nv * nv; k++) {
+      da_dtau[k] = k % (nv + 1) == 0 ? 1.0 : 0.0;
+    }
+    kg_tree_solve_many(&d->tree, &d->M, da_dtau, nv);
+  }
+  double *outputs[3] = {da_dq, da_dv, da_dtau};
+  for (int k = 0; k < 3 * nv * nv && !regular; k++) { /* M is singular: no derivative */
+    if (outputs[k / (nv * nv)]) {
+      outputs[k / (nv * nv)][k % (nv * nv)] = NAN;
+    }
   }
 }
 
@@ -662,6 +912,24 @@ kg_centroid kg_dynamics_centroid(kg_dynamics *dynamics, const double *q, const d
     out.I.m[k] -= hc;
   }
   return out;
+}
+
+void kg_dynamics_centroidal_matrix(kg_dynamics *dynamics, double *A, const double *q)
+{
+  kg_dynamics *d = dynamics;
+  const int nv = d->body->nv;
+  kg_links_pose(d, q);
+  composite_inertia(d);
+  const kg_inertia *whole = &d->sum[0].I;
+  const kg_vec3 c = kg_vec3_scale(whole->mass > 0.0 ? 1.0 / whole->mass : 0.0, whole->h);
+  for (int b = 0; b <= d->n; b++) {
+    kg_mat63 Q = inertia_mul(&d->sum[b].I, &d->S[b]); /* momentum about O per unit of v_b */
+    add_cross(&Q.w, -1.0, c, &Q.v);
+    for (int r = 0; r < 3; r++) {
+      memcpy(A + r * nv + 3 * b, Q.w.m + 3 * r, 3 * sizeof *A);
+      memcpy(A + (3 + r) * nv + 3 * b, Q.v.m + 3 * r, 3 * sizeof *A);
+    }
+  }
 }
 
 kg_vec3 kg_dynamics_point(kg_dynamics *dynamics, double *J, const double *q, kg_body_point point)

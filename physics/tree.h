@@ -122,8 +122,12 @@ struct kg_dynamics {
   kg_composite *sum; /* blocks */
   kg_pencil *pencil; /* blocks */
   kg_tree tree;
-  kg_tree_matrix A; /* scratch of the public derivatives */
   kg_chain chain;   /* motion and its adjoints, chain.h      */
+  kg_tree_matrix A, M; /* scratch of the public derivatives */
+  double *forward;     /* nv: acceleration of the public derivatives of forward dynamics */
+  const kg_physics_kernels *kernels;
+  struct kg_model *model; /* for the recursive algorithms */
+  double *lanes[4];       /* eight frames: nq or nv numbers of each */
   kg_arena arena;
 };
 

@@ -37,6 +37,33 @@ KG_API void kg_dynamics_velocity(kg_dynamics *dynamics, const double *q, const d
 KG_API void kg_dynamics_inverse(kg_dynamics *dynamics, double *tau, const double *q,
                                 const double *v, const double *a);
 
+/* a[nv] = FD(q, v, tau): articulated-body algorithm [RBDA, Table 7.1]; a may be tau. A segment that
+ * can turn without moving any mass (docs/theory/dynamics.md, section 6) gives numbers that are not
+ * finite. */
+KG_API void kg_dynamics_forward(kg_dynamics *dynamics, double *a, const double *q, const double *v,
+                                const double *tau);
+/* x := M(q)^-1 x, x[nv], in O(n): forward dynamics without motion and gravity. */
+KG_API void kg_dynamics_mass_solve(kg_dynamics *dynamics, double *x, const double *q);
+
+/* Eight frames at once, structure of arrays: number k of frame f lies at x[8 * k + f]. Every frame
+ * gets the numbers of the plain call, bit for bit. */
+KG_API void kg_dynamics_inverse_lanes(kg_dynamics *dynamics, double *tau, const double *q,
+                                      const double *v, const double *a);
+KG_API void kg_dynamics_forward_lanes(kg_dynamics *dynamics, double *a, const double *q,
+                                      const double *v, const double *tau);
+
+/* count frames, one after the other: q (count, nq), the others (count, nv), row-major. Every frame
+ * gets the numbers of the plain call, bit for bit. */
+KG_API void kg_dynamics_inverse_many(kg_dynamics *dynamics, int count, double *tau, const double *q,
+                                     const double *v, const double *a);
+KG_API void kg_dynamics_forward_many(kg_dynamics *dynamics, int count, double *a, const double *q,
+                                     const double *v, const double *tau);
+
+/* Accelerations in the world: of the joints' origins, p_ddot[n] (m/s^2, without gravity), and of
+ * the segments' rotation, alpha[n] (rad/s^2); either may be NULL. */
+KG_API void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const double *v,
+                                     const double *a, kg_vec3 *p_ddot, kg_vec3 *alpha);
+
 /* M[nv*nv], row-major, full symmetric [RBDA, Table 6.2]. */
 KG_API void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q);
 
@@ -63,6 +90,12 @@ KG_API void kg_dynamics_inverse_vjp(kg_dynamics *dynamics, double *q_bar, double
                                     const double *q, const double *v, const double *a,
                                     const double *lambda);
 
+/* da/dq (tangent space), da/dv, da/dtau = M^-1 at a = FD(q, v, tau); each nv*nv row-major, each may
+ * be NULL; a too when not NULL. -M^-1 times the derivatives of inverse dynamics at a. */
+KG_API void kg_dynamics_forward_derivatives(kg_dynamics *dynamics, double *da_dq, double *da_dv,
+                                            double *da_dtau, double *a, const double *q,
+                                            const double *v, const double *tau);
+
 typedef struct kg_centroid {
   double mass;     /* kg                                             */
   kg_vec3 com;     /* world, m                                       */
@@ -73,6 +106,11 @@ typedef struct kg_centroid {
 
 /* v may be NULL: then com_dot and L are zero. */
 KG_API kg_centroid kg_dynamics_centroid(kg_dynamics *dynamics, const double *q, const double *v);
+
+/* A[6*nv] row-major: angular momentum about the centre of mass (three rows), then linear momentum,
+ * both in world axes, are A v. [D. E. Orin, A. Goswami, S.-H. Lee, Centroidal dynamics of a humanoid
+ * robot, Autonomous Robots 35, 2013] */
+KG_API void kg_dynamics_centroidal_matrix(kg_dynamics *dynamics, double *A, const double *q);
 
 /* World position of a body point; J (3*nv row-major, may be NULL) with p_dot = J v. */
 KG_API kg_vec3 kg_dynamics_point(kg_dynamics *dynamics, double *J, const double *q,

@@ -5,6 +5,14 @@
 
 #include "physics/kernels/factor.inc"
 
+extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
+#if defined(__GNUC__)
+extern const kg_number_kernels KG_NUMBER_TABLE(8, KG_ISA);
+#define EIGHT &KG_NUMBER_TABLE(8, KG_ISA)
+#else
+#define EIGHT NULL
+#endif
+
 #define KG_PASTE_(a, b) a##b
 #define KG_PASTE(a, b) KG_PASTE_(a, b)
 
@@ -14,4 +22,6 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .solve_transposed = solve_transposed,
   .solve_many = solve_many,
   .solve_transposed_many = solve_transposed_many,
+  .one = &KG_NUMBER_TABLE(1, KG_ISA),
+  .eight = EIGHT,
 };

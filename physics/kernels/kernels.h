@@ -5,6 +5,41 @@
 
 #include "physics/tree.h"
 
+#include <stddef.h>
+
+/* What the recursive algorithms read of a link; lengths and moments in its own axes, about its own
+ * joint. */
+typedef struct kg_link_model {
+  int parent;
+  double mass;
+  double offset[3];  /* of the joint in the parent's axes; zero for the root */
+  double h[3];       /* mass * centre of mass                                */
+  double inertia[6]; /* xx yy zz xy xz yz                                    */
+} kg_link_model;
+
+typedef struct kg_model {
+  int n;
+  kg_link_model *links;
+  double gravity[3];
+  void *scratch;
+} kg_model;
+
+/* Recursive algorithms for one kind of number: a double, or eight frames at once, [k][8] for number
+ * k. See the functions of dynamics.h. */
+typedef struct kg_number_kernels {
+  size_t scratch; /* bytes for each link */
+  void (*inverse)(const kg_model *model, double *tau, const double *q, const double *v,
+                  const double *a);
+  void (*forward)(const kg_model *model, double *a, const double *q, const double *v,
+                  const double *tau);
+  /* a = M^-1 tau; v is not read */
+  void (*mass_solve)(const kg_model *model, double *a, const double *q, const double *v,
+                     const double *tau);
+} kg_number_kernels;
+
+#define KG_NUMBER_TABLE_(number, isa) kg_number_kernels_##number##_##isa
+#define KG_NUMBER_TABLE(number, isa) KG_NUMBER_TABLE_(number, isa)
+
 /* See the functions of the same names in tree.h. */
 struct kg_physics_kernels {
   bool (*factor)(const kg_tree *tree, kg_tree_matrix *A);
@@ -13,6 +48,8 @@ struct kg_physics_kernels {
   void (*solve_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns);
   void (*solve_transposed_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X,
                                 int columns);
+  const kg_number_kernels *one;
+  const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
 };
 
 extern const kg_physics_kernels kg_physics_kernels_base;

@@ -1,0 +1,491 @@
+/* Forward dynamics against LAPACK and against inverse dynamics; derivatives against complex steps
+ * through the same recursion over complex numbers; eight frames and every instruction set against
+ * the plain call, bit for bit. */
+#include "fixture_body.h"
+
+#include <complex.h>
+#undef I
+
+#include "physics/kernels/kernels.h"
+#include "physics/tree.h"
+
+void dgesv_(const int *n, const int *nrhs, double *a, const int *lda, int *ipiv, double *b,
+            const int *ldb, int *info);
+
+/* physics/kernels/numbers.c over double complex, compiled for this test */
+extern const kg_number_kernels kg_number_kernels_2_test;
+
+enum { BIG_NV = 120, BIG_NQ = 160, FRAMES = 17 };
+
+static kg_dynamics *dynamics_of(const kg_body *body)
+{
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  return d;
+}
+
+static double largest(const double *a, int count)
+{
+  double size = 0.0;
+  for (int k = 0; k < count; k++) {
+    size = fmax(size, fabs(a[k]));
+  }
+  return size;
+}
+
+static double largest_difference(const double *a, const double *b, int count)
+{
+  double size = 0.0;
+  for (int k = 0; k < count; k++) {
+    const double difference = fabs(a[k] - b[k]);
+    size = difference > size || isnan(difference) ? difference : size;
+    if (isnan(size)) {
+      return size;
+    }
+  }
+  return size;
+}
+
+/* ---- bodies -----------------------------------------------------------------------------------*/
+
+typedef enum shape { ONE, CHAIN, STAR, HUMAN, THIRTY_SEVEN, BUSH, MASSLESS, SHAPES } shape;
+static const char *const shape_names[SHAPES] = {"one segment", "chain", "star",    "human",
+                                                "37 joints",   "bush",  "massless"};
+
+/* A chain, or a star (every segment hangs on the root). */
+static kg_body *rebuilt(kg_random *random, int n, bool star)
+{
+  kg_body *body = random_tree(random, n, NULL);
+  for (int i = 1; i < n; i++) {
+    body->segments[i].parent = star ? 0 : i - 1;
+  }
+  return body;
+}
+
+/* The human with a spine link, a clavicle and a toe that weigh nothing. The toe keeps an inertia:
+ * without one its rotation would be free of any force. */
+static kg_body *massless_body(void)
+{
+  kg_body *body = human_body();
+  const int light[3] = {3, 7, 18};
+  for (int k = 0; k < 3; k++) {
+    kg_segment *s = &body->segments[light[k]];
+    s->mass = 0.0;
+    const double own[6] = {1e-4, 2e-4, 1.5e-4, 0.0, 0.0, 0.0};
+    for (int c = 0; c < 6; c++) {
+      s->inertia[c] = light[k] == 3 ? 0.0 : own[c];
+    }
+  }
+  return body;
+}
+
+static kg_body *body_of(shape kind, kg_random *random)
+{
+  switch (kind) {
+    case ONE:
+      return random_tree(random, 1, NULL);
+    case CHAIN:
+      return rebuilt(random, 12, false);
+    case STAR:
+      return rebuilt(random, 20, true);
+    case HUMAN:
+      return human_body();
+    case THIRTY_SEVEN:
+      return random_tree(random, 37, NULL);
+    case MASSLESS:
+      return massless_body();
+    default:
+      return random_tree(random, 15, NULL);
+  }
+}
+
+typedef struct state {
+  double q[BIG_NQ], v[BIG_NV], a[BIG_NV];
+} state;
+
+/* ---- values -----------------------------------------------------------------------------------*/
+
+static void forward_dynamics_solves_the_equations_of_motion(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(41);
+  double worst[3] = {0.0, 0.0, 0.0};
+  for (int kind = 0; kind < SHAPES; kind++) {
+    kg_body *body = body_of(kind, &random);
+    kg_dynamics *d = dynamics_of(body);
+    kg_dynamics_set_gravity(d, random_vec3(&random, 9.0));
+    const int nv = body->nv, one = 1;
+    for (int trial = 0; trial < 5; trial++) {
+      state s;
+      static double M[BIG_NV * BIG_NV];
+      double tau[BIG_NV], back[BIG_NV], bias[BIG_NV], x[BIG_NV], zero[BIG_NV] = {0.0};
+      random_state(&random, body, s.q, s.v, s.a);
+      kg_dynamics_inverse(d, tau, s.q, s.v, s.a);
+      kg_dynamics_forward(d, back, s.q, s.v, tau);
+      const double size = largest(s.a, nv);
+      worst[0] = fmax(worst[0], largest_difference(back, s.a, nv) / size);
+      assert_at_most(largest_difference(back, s.a, nv), 1e-10 * size);
+      kg_dynamics_inverse(d, bias, s.q, s.v, zero);
+      kg_dynamics_mass_matrix(d, M, s.q);
+      int pivots[BIG_NV], info = 0;
+      for (int k = 0; k < nv; k++) {
+        bias[k] = tau[k] - bias[k];
+        x[k] = bias[k];
+      }
+      dgesv_(&nv, &one, M, &nv, pivots, bias, &nv, &info);
+      assert_int_equal(info, 0);
+      worst[1] = fmax(worst[1], largest_difference(back, bias, nv) / size);
+      assert_at_most(largest_difference(back, bias, nv), 1e-10 * size);
+      kg_dynamics_mass_solve(d, x, s.q);
+      worst[2] = fmax(worst[2], largest_difference(x, bias, nv) / size);
+      assert_at_most(largest_difference(x, bias, nv), 1e-10 * size);
+      kg_dynamics_forward(d, tau, s.q, s.v, tau); /* in place */
+      assert_memory_equal(tau, back, (size_t)nv * sizeof *tau);
+    }
+    kg_dynamics_destroy(d);
+    kg_body_destroy(body);
+  }
+  print_message("forward dynamics: against ID %.1e, against LAPACK %.1e; M^-1 x %.1e\n", worst[0],
+                worst[1], worst[2]);
+}
+
+/* A segment whose rotation moves no mass: numbers that are not finite, no trap. */
+static void free_rotation_is_not_hidden(void **unused)
+{
+  (void)unused;
+  kg_body *body = human_body();
+  body->segments[22].mass = 0.0;
+  memset(body->segments[22].inertia, 0, sizeof body->segments[22].inertia);
+  kg_dynamics *d = dynamics_of(body);
+  state s;
+  double a[BIG_NV];
+  static double da[BIG_NV * BIG_NV];
+  kg_random random = kg_random_make(42);
+  random_state(&random, body, s.q, s.v, s.a);
+  kg_dynamics_forward_derivatives(d, da, NULL, NULL, a, s.q, s.v, s.a);
+  bool finite = true;
+  for (int k = 0; k < body->nv; k++) {
+    finite = finite && isfinite(a[k]);
+  }
+  assert_false(finite);
+  assert_true(isnan(da[0]));
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
+static void accelerations_are_rates_of_velocities(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(43);
+  kg_body *body = human_body();
+  kg_dynamics *d = dynamics_of(body);
+  const int nv = body->nv;
+  for (int trial = 0; trial < 5; trial++) {
+    state s;
+    kg_vec3 p_ddot[40], alpha[40], p_dot[2][40], w[2][40];
+    random_state(&random, body, s.q, s.v, s.a);
+    kg_dynamics_acceleration(d, s.q, s.v, s.a, p_ddot, alpha);
+    const double h = 1e-5;
+    for (int side = 0; side < 2; side++) {
+      const double t = side == 0 ? h : -h;
+      double later[BIG_NQ], v[BIG_NV], step[BIG_NV];
+      for (int k = 0; k < nv; k++) {
+        step[k] = t * s.v[k] + 0.5 * t * t * s.a[k];
+        v[k] = s.v[k] + t * s.a[k];
+      }
+      kg_body_integrate(body, later, s.q, step);
+      kg_dynamics_velocity(d, later, v, NULL, NULL, p_dot[side], w[side]);
+    }
+    for (int i = 0; i < body->segment_count; i++) {
+      const kg_vec3 p = kg_vec3_scale(0.5 / h, kg_vec3_sub(p_dot[0][i], p_dot[1][i]));
+      const kg_vec3 r = kg_vec3_scale(0.5 / h, kg_vec3_sub(w[0][i], w[1][i]));
+      assert_at_most(kg_vec3_norm(kg_vec3_sub(p, p_ddot[i])), 1e-6 * (1.0 + kg_vec3_norm(p)));
+      assert_at_most(kg_vec3_norm(kg_vec3_sub(r, alpha[i])), 1e-6 * (1.0 + kg_vec3_norm(r)));
+    }
+  }
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
+static void centroidal_matrix_gives_momentum(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(44);
+  for (int kind = 0; kind < SHAPES; kind++) {
+    kg_body *body = body_of(kind, &random);
+    kg_dynamics *d = dynamics_of(body);
+    state s;
+    static double A[6 * BIG_NV];
+    random_state(&random, body, s.q, s.v, s.a);
+    kg_dynamics_centroidal_matrix(d, A, s.q);
+    const kg_centroid c = kg_dynamics_centroid(d, s.q, s.v);
+    const kg_vec3 p = kg_vec3_scale(c.mass, c.com_dot);
+    const double truth[6] = {c.L.x, c.L.y, c.L.z, p.x, p.y, p.z};
+    for (int r = 0; r < 6; r++) {
+      double sum = 0.0;
+      for (int k = 0; k < body->nv; k++) {
+        sum += A[r * body->nv + k] * s.v[k];
+      }
+      assert_at_most(fabs(sum - truth[r]), 1e-12 * (1.0 + largest(truth, 6)));
+    }
+    kg_dynamics_destroy(d);
+    kg_body_destroy(body);
+  }
+}
+
+/* ---- complex steps ----------------------------------------------------------------------------*/
+
+static const double TINY = 1e-40;
+
+typedef struct complex_model {
+  kg_model model;
+  double complex q[BIG_NQ], v[BIG_NV], x[BIG_NV], out[BIG_NV];
+} complex_model;
+
+static void complex_open(complex_model *c, const kg_dynamics *d)
+{
+  c->model = *d->model;
+  c->model.scratch = aligned_alloc(64, (size_t)(d->n + 1) * 8192);
+  assert_non_null(c->model.scratch);
+  assert_true(kg_number_kernels_2_test.scratch <= 8192);
+}
+
+static void set_point(complex_model *c, const kg_body *body, const state *s, const double *x)
+{
+  for (int k = 0; k < body->nq; k++) {
+    c->q[k] = s->q[k];
+  }
+  for (int k = 0; k < body->nv; k++) {
+    c->v[k] = s->v[k];
+    c->x[k] = x[k];
+  }
+}
+
+/* q (+) i TINY e_k: to first order q_i (1, i TINY/2 e) */
+static void turn(complex_model *c, const kg_body *body, int k)
+{
+  (void)body;
+  if (k < 3) {
+    c->q[k] += TINY * _Complex_I;
+    return;
+  }
+  const int i = (k - 3) / 3, axis = (k - 3) % 3;
+  double complex *r = c->q + 3 + 4 * i;
+  double e[3] = {0.0, 0.0, 0.0};
+  e[axis] = 0.5 * TINY;
+  const double w = creal(r[0]), x = creal(r[1]), y = creal(r[2]), z = creal(r[3]);
+  r[0] += _Complex_I * (-x * e[0] - y * e[1] - z * e[2]);
+  r[1] += _Complex_I * (w * e[0] + y * e[2] - z * e[1]);
+  r[2] += _Complex_I * (w * e[1] - x * e[2] + z * e[0]);
+  r[3] += _Complex_I * (w * e[2] + x * e[1] - y * e[0]);
+}
+
+typedef void number_call(const kg_model *model, double *out, const double *q, const double *x,
+                         const double *y);
+
+/* Column k of the derivative by q (which = 0), v (1) or the last argument (2). */
+static void complex_column(complex_model *c, const kg_body *body, number_call *call, const state *s,
+                           const double *x, int which, int k, double *column)
+{
+  set_point(c, body, s, x);
+  if (which == 0) {
+    turn(c, body, k);
+  } else {
+    (which == 1 ? c->v : c->x)[k] += TINY * _Complex_I;
+  }
+  call(&c->model, (double *)c->out, (double *)c->q, (double *)c->v, (double *)c->x);
+  for (int r = 0; r < body->nv; r++) {
+    column[r] = cimag(c->out[r]) / TINY;
+  }
+}
+
+/* Worst difference over all columns, relative to the largest entry. */
+static double compare_columns(complex_model *c, const kg_body *body, number_call *call,
+                              const state *s, const double *x, int which, const double *exact)
+{
+  const int nv = body->nv;
+  double worst = 0.0, column[BIG_NV];
+  for (int k = 0; k < nv; k++) {
+    complex_column(c, body, call, s, x, which, k, column);
+    for (int r = 0; r < nv; r++) {
+      const double difference = fabs(column[r] - exact[r * nv + k]);
+      worst = difference > worst || isnan(difference) ? difference : worst;
+    }
+  }
+  return worst / largest(exact, nv * nv);
+}
+
+static void derivatives_match_complex_steps(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(45);
+  static double D[3][BIG_NV * BIG_NV];
+  static complex_model c;
+  for (int kind = 0; kind < SHAPES; kind++) {
+    kg_body *body = body_of(kind, &random);
+    kg_dynamics *d = dynamics_of(body);
+    kg_dynamics_set_gravity(d, random_vec3(&random, 9.0));
+    complex_open(&c, d);
+    double worst[2] = {0.0, 0.0};
+    for (int trial = 0; trial < 3; trial++) {
+      state s;
+      double tau[BIG_NV], a[BIG_NV];
+      random_state(&random, body, s.q, s.v, s.a);
+      kg_dynamics_inverse_derivatives(d, D[0], D[1], D[2], tau, s.q, s.v, s.a);
+      for (int which = 0; which < 3; which++) {
+        const double e =
+          compare_columns(&c, body, kg_number_kernels_2_test.inverse, &s, s.a, which, D[which]);
+        assert_at_most(e, 1e-12);
+        worst[0] = fmax(worst[0], e);
+      }
+      kg_dynamics_forward_derivatives(d, D[0], D[1], D[2], a, s.q, s.v, tau);
+      for (int which = 0; which < 3; which++) {
+        const double e =
+          compare_columns(&c, body, kg_number_kernels_2_test.forward, &s, tau, which, D[which]);
+        /* the inertias of 1e-4 kg m^2 leave M a condition number of 1e6 */
+        assert_at_most(e, kind == MASSLESS ? 1e-11 : 1e-12);
+        worst[1] = fmax(worst[1], e);
+      }
+    }
+    print_message("%-11s inverse dynamics %.1e, forward dynamics %.1e\n", shape_names[kind],
+                  worst[0], worst[1]);
+    free(c.model.scratch);
+    kg_dynamics_destroy(d);
+    kg_body_destroy(body);
+  }
+}
+
+/* Joints inside a chain alone: each entry against its own size, so that no large entry elsewhere
+ * hides a wrong one. */
+static void ball_joints_inside_the_tree_have_exact_derivatives(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(46);
+  static double D[2][BIG_NV * BIG_NV];
+  static complex_model c;
+  double worst = 0.0;
+  for (int trial = 0; trial < 10; trial++) {
+    kg_body *body = rebuilt(&random, 6, false);
+    kg_dynamics *d = dynamics_of(body);
+    complex_open(&c, d);
+    state s;
+    random_state(&random, body, s.q, s.v, s.a);
+    kg_dynamics_inverse_derivatives(d, D[0], D[1], NULL, NULL, s.q, s.v, s.a);
+    const int nv = body->nv;
+    for (int which = 0; which < 2; which++) {
+      for (int k = 6; k < nv - 3; k++) {
+        double column[BIG_NV];
+        complex_column(&c, body, kg_number_kernels_2_test.inverse, &s, s.a, which, k, column);
+        for (int r = 0; r < nv; r++) { /* a block of three against its own length */
+          const double *block = column + r / 3 * 3;
+          const double size = fabs(block[0]) + fabs(block[1]) + fabs(block[2]);
+          const double e = fabs(column[r] - D[which][r * nv + k]) / (size > 0.0 ? size : 1.0);
+          assert_at_most(e, 1e-11);
+          worst = fmax(worst, e);
+        }
+      }
+    }
+    free(c.model.scratch);
+    kg_dynamics_destroy(d);
+    kg_body_destroy(body);
+  }
+  print_message("joints inside a chain, each block by its own size: %.1e\n", worst);
+}
+
+/* ---- frames and instruction sets --------------------------------------------------------------*/
+
+typedef struct clip {
+  double q[FRAMES * BIG_NQ], v[FRAMES * BIG_NV], a[FRAMES * BIG_NV];
+} clip;
+
+static void random_clip(kg_random *random, const kg_body *body, clip *c)
+{
+  for (int f = 0; f < FRAMES; f++) {
+    random_state(random, body, c->q + f * body->nq, c->v + f * body->nv, c->a + f * body->nv);
+  }
+}
+
+static void to_lanes(double *lanes, const double *rows, int width)
+{
+  for (int k = 0; k < 8 * width; k++) {
+    lanes[k] = rows[k % 8 * width + k / 8];
+  }
+}
+
+/* All calls of many frames against the plain calls of level 1. */
+static void check_frames(kg_dynamics *d, const clip *c, const double *tau, const double *a)
+{
+  const kg_body *body = d->body;
+  const int nv = body->nv;
+  static double out[FRAMES * BIG_NV], q[8 * BIG_NQ], v[8 * BIG_NV], x[8 * BIG_NV], y[8 * BIG_NV];
+  for (int count = 0; count <= FRAMES; count++) {
+    const size_t bytes = (size_t)(count * nv) * sizeof *out;
+    memset(out, 0, sizeof out);
+    kg_dynamics_inverse_many(d, count, out, c->q, c->v, c->a);
+    assert_memory_equal(out, tau, bytes);
+    kg_dynamics_forward_many(d, count, out, c->q, c->v, c->a);
+    assert_memory_equal(out, a, bytes);
+    for (int k = count * nv; k < FRAMES * nv; k++) {
+      assert_true(out[k] == 0.0); /* not beyond its end */
+    }
+  }
+  to_lanes(q, c->q, body->nq);
+  to_lanes(v, c->v, nv);
+  to_lanes(x, c->a, nv);
+  kg_dynamics_inverse_lanes(d, y, q, v, x);
+  for (int k = 0; k < 8 * nv; k++) {
+    assert_true(y[k] == tau[k % 8 * nv + k / 8]);
+  }
+  kg_dynamics_forward_lanes(d, y, q, v, x);
+  for (int k = 0; k < 8 * nv; k++) {
+    assert_true(y[k] == a[k % 8 * nv + k / 8]);
+  }
+}
+
+static void eight_frames_equal_one_bit_for_bit(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(47);
+  static clip c;
+  static double tau[FRAMES * BIG_NV], a[FRAMES * BIG_NV];
+  for (int kind = 0; kind < SHAPES; kind++) {
+    kg_body *body = body_of(kind, &random);
+    kg_dynamics *d = dynamics_of(body);
+    random_clip(&random, body, &c);
+    d->kernels = kg_physics_kernels_of_level(1);
+    for (int f = 0; f < FRAMES; f++) {
+      const int at = f * body->nv;
+      kg_dynamics_inverse(d, tau + at, c.q + f * body->nq, c.v + at, c.a + at);
+      kg_dynamics_forward(d, a + at, c.q + f * body->nq, c.v + at, c.a + at);
+    }
+    for (int level = 1; level <= 3; level++) {
+      const kg_physics_kernels *kernels = kg_physics_kernels_of_level(level);
+      if (!kernels) {
+        print_message("no kernels of level %d here\n", level);
+        continue;
+      }
+      d->kernels = kernels;
+      check_frames(d, &c, tau, a);
+      kg_physics_kernels without = *kernels; /* as a compiler without vectors has them */
+      without.eight = NULL;
+      d->kernels = &without;
+      check_frames(d, &c, tau, a);
+    }
+    kg_dynamics_destroy(d);
+    kg_body_destroy(body);
+  }
+}
+
+int main(void)
+{
+  const struct CMUnitTest tests[] = {
+    cmocka_unit_test(forward_dynamics_solves_the_equations_of_motion),
+    cmocka_unit_test(free_rotation_is_not_hidden),
+    cmocka_unit_test(accelerations_are_rates_of_velocities),
+    cmocka_unit_test(centroidal_matrix_gives_momentum),
+    cmocka_unit_test(derivatives_match_complex_steps),
+    cmocka_unit_test(ball_joints_inside_the_tree_have_exact_derivatives),
+    cmocka_unit_test(eight_frames_equal_one_bit_for_bit),
+  };
+  return cmocka_run_group_tests_name("dynamics_kernels", tests, NULL, NULL);
+}
