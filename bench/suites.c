@@ -13,11 +13,17 @@ static const kg_bench_group dynamics[] = {
   {kg_bench_kernel_cases, BENCH_KERNEL_CASES},
 };
 
+static const kg_bench_group step[] = {
+  {kg_bench_step_cases, BENCH_STEP_CASES},
+};
+
 const kg_bench_suite kg_bench_suites[] = {
   {"autodiff", "gradients and Jacobians beside plain C and ADOL-C", "../shared/adbench", autodiff,
    KG_COUNT_OF(autodiff)},
   {"dynamics", "kinematics and dynamics of a body beside MuJoCo", "../shared/data", dynamics,
    KG_COUNT_OF(dynamics)},
+  {"step", "implicit steps of a body and their derivatives beside MuJoCo", "../shared/data", step,
+   KG_COUNT_OF(step)},
 };
 const int kg_bench_suite_count = (int)KG_COUNT_OF(kg_bench_suites);
 

@@ -20,8 +20,9 @@
   }
 #endif
 
-enum { BENCH_KERNEL_CASES = 6 };
+enum { BENCH_KERNEL_CASES = 6, BENCH_STEP_CASES = 3 };
 
 extern const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES];
+extern const kg_bench_case kg_bench_step_cases[BENCH_STEP_CASES];
 
 #endif

@@ -218,3 +218,55 @@ void kg_mujoco_pose(kg_mujoco *s, double *p, double *R, const double *q)
   copy(p, s->data->xpos + 3, 3 * (s->model->nbody - 1));
   copy(R, s->data->xmat + 9, 9 * (s->model->nbody - 1));
 }
+
+/* ---- whole steps ----------------------------------------------------------------------------- */
+
+void kg_mujoco_set_state(kg_mujoco *s, const double *q, const double *v)
+{
+  copy(s->data->qpos, q, s->model->nq);
+  copy(s->data->qvel, v, s->model->nv);
+  memset(s->data->qacc_warmstart, 0, (size_t)s->model->nv * sizeof(double));
+}
+
+void kg_mujoco_step(kg_mujoco *s, const double *tau)
+{
+  copy(s->data->qfrc_applied, tau, s->model->nv);
+  mj_step(s->model, s->data);
+}
+
+void kg_mujoco_get_state(const kg_mujoco *s, double *q, double *v)
+{
+  copy(q, s->data->qpos, s->model->nq);
+  copy(v, s->data->qvel, s->model->nv);
+}
+
+void kg_mujoco_set_timestep(kg_mujoco *s, double timestep)
+{
+  s->model->opt.timestep = timestep;
+}
+
+int kg_mujoco_contacts(const kg_mujoco *s)
+{
+  return s->data->ncon;
+}
+
+double kg_mujoco_support(const kg_mujoco *s)
+{
+  double sum = 0.0;
+  for (int c = 0; c < s->data->ncon; c++) {
+    double force[6]; /* in the contact's frame, whose axes are the rows of frame */
+    const double *frame = s->data->contact[c].frame;
+    mj_contactForce(s->model, s->data, c, force);
+    /* on the second geom; the ground is the first, or the sign turns */
+    const int body = s->model->geom_bodyid[s->data->contact[c].geom2];
+    const double along = frame[1] * force[0] + frame[4] * force[1] + frame[7] * force[2];
+    sum += body > 0 ? along : -along;
+  }
+  return sum;
+}
+
+void kg_mujoco_transition(kg_mujoco *s, double *A, double *B, const double *tau)
+{
+  copy(s->data->qfrc_applied, tau, s->model->nv);
+  mjd_transitionFD(s->model, s->data, 1e-6, 0, A, B, NULL, NULL);
+}

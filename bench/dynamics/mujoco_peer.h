@@ -46,4 +46,19 @@ void kg_mujoco_forward(kg_mujoco *s, double *a, const double *q, const double *v
 /* Positions and rotations (row-major) of the segments: mj_kinematics. */
 void kg_mujoco_pose(kg_mujoco *s, double *p, double *R, const double *q);
 
+/* ---- whole steps ----------------------------------------------------------------------------- */
+
+/* Start of a run: no warm start is left over. */
+void kg_mujoco_set_state(kg_mujoco *s, const double *q, const double *v);
+/* mj_step with these generalised forces. */
+void kg_mujoco_step(kg_mujoco *s, const double *tau);
+void kg_mujoco_get_state(const kg_mujoco *s, double *q, double *v);
+void kg_mujoco_set_timestep(kg_mujoco *s, double timestep);
+/* Of the step before: contacts, and the sum of their forces along y, N. */
+int kg_mujoco_contacts(const kg_mujoco *s);
+double kg_mujoco_support(const kg_mujoco *s);
+/* mjd_transitionFD with one-sided differences of 1e-6 at the state that was set: derivatives of the
+ * next (q, v) by (q, v), A (2 nv x 2 nv), and by the motors' forces, B (2 nv x nv). */
+void kg_mujoco_transition(kg_mujoco *s, double *A, double *B, const double *tau);
+
 #endif
