@@ -492,6 +492,17 @@ if "$kinegrad" bench -h >/dev/null 2>&1; then
       r = $("$json_get" ratios.json cases.0.value) / $("$json_get" ratios.json cases.0.peer_value)
       d = r / $("$json_get" ratios.json cases.0.ratio) - 1; exit !(d * d < 1e-20)}"
   fi
+  run 0 bench dynamics --filter rnea_23 --rounds 1 --data "$data/walker.bvh" --json rnea.json
+  claim "bench: a clip's own skeleton" grep -q "^rnea_23: .*walker\.bvh, 23 segments, 72 degrees" stdout.txt
+  claim "bench: inverse dynamics agree" \
+    awk "BEGIN {exit !($("$json_get" rnea.json cases.0.agreement) <= 1e-10)}"
+  run 0 bench dynamics --filter rnea_37 --rounds 1
+  claim "bench: a skeleton of its own" \
+    grep -q "^rnea_37: synthetic skeleton, every joint kept, 37 segments, 114 degrees" stdout.txt
+  run 0 bench step --filter step_flight --rounds 1
+  claim "bench: a step beside MuJoCo, or why not" grep -Eq "MuJoCo, implicit +([0-9.]+|not here)" stdout.txt
+  run 3 bench step --data no_such_folder
+  says "no_such_folder: cannot be opened"
 else
   echo "skipped: bench is not in this build"
 fi

@@ -1,40 +1,41 @@
-/* The dynamics of a clip's body against MuJoCo, through the MJCF file that the library writes.
+/* The dynamics of bodies of 23 and 37 segments against MuJoCo, through the MJCF file that the library writes.
  * Conventions agree: free joint with linear velocity in world axes and angular velocity in the
  * root's, ball joints with relative angular velocity in the child's frame. */
 #include "support.h"
 
+#include <unistd.h>
+
 #include <mujoco/mujoco.h>
 
-#include "kinegrad/body.h"
+#include "bench/dynamics/models.h"
+#include "kinegrad/dense.h"
 #include "kinegrad/dynamics.h"
 
-enum { STATES = 100, NV_MAX = 72, NQ_MAX = 95 };
+enum { STATES = 1000, NV_MAX = 120, NQ_MAX = 160 };
 
 typedef struct both {
-  kg_clip *clip;
-  kg_body *body;
+  kg_bench_model of;
+  const kg_body *body;
   kg_dynamics *dynamics;
   mjModel *model;
   mjData *data;
   double q[NQ_MAX], v[NV_MAX], a[NV_MAX];
 } both;
 
-static both set_up(void)
+/* data: as in kg_bench_model_open */
+static both set_up(kg_bench_skeleton skeleton, const char *data)
 {
-  both b = {0};
+  both b = {.dynamics = NULL};
   kg_error error = {0};
-  kg_clip_def clip_def = kg_clip_default_def();
-  clip_def.unit_m = 0.01;
-  kg_mapping mapping;
-  const kg_body_def def = kg_body_default_def();
-  const char *path = KG_TEST_SCRATCH "/walker.xml";
-  if (kg_clip_read(&b.clip, KG_TEST_DATA "/walker.bvh", &clip_def, &error) != KG_OK ||
-      kg_mapping_find(&mapping, b.clip, NULL, &error) != KG_OK ||
-      kg_body_from_clip(&b.body, b.clip, &mapping, &def, &error) != KG_OK ||
-      kg_body_write_mjcf(b.body, path, 9.8, &error) != KG_OK ||
-      kg_dynamics_create(&b.dynamics, b.body, NULL) != KG_OK) {
+  const char *path = KG_TEST_SCRATCH "/mujoco.xml";
+  if (kg_bench_model_open(&b.of, skeleton, data, &error) != KG_OK ||
+      kg_body_write_mjcf(b.of.body, path, 9.8, &error) != KG_OK ||
+      kg_dynamics_create(&b.dynamics, b.of.body, NULL) != KG_OK) {
     fail_msg("%s", error.text);
   }
+  b.body = b.of.body;
+  assert_in_range(b.body->nv, 1, NV_MAX);
+  assert_in_range(b.body->nq, 1, NQ_MAX);
   char text[1000] = "";
   b.model = mj_loadXML(path, NULL, text, sizeof text);
   if (!b.model) {
@@ -53,30 +54,17 @@ static void tear_down(both *b)
   mj_deleteData(b->data);
   mj_deleteModel(b->model);
   kg_dynamics_destroy(b->dynamics);
-  kg_body_destroy(b->body);
-  kg_clip_destroy(b->clip);
+  kg_bench_model_close(&b->of);
 }
 
 /* Any orientation in every joint, fast motion, large accelerations. */
 static void random_state(both *b, kg_random *random)
 {
-  for (int k = 0; k < 3; k++) {
-    b->q[k] = kg_random_normal(random);
-  }
-  for (int i = 0; i < b->body->segment_count; i++) {
-    const kg_quat r = random_quat(random);
-    const double parts[4] = {r.w, r.x, r.y, r.z};
-    memcpy(b->q + 3 + 4 * i, parts, sizeof parts);
-  }
-  for (int k = 0; k < b->body->nv; k++) {
-    b->v[k] = 3.0 * kg_random_normal(random);
-    b->a[k] = 30.0 * kg_random_normal(random);
-  }
+  kg_bench_random_state(random, b->body, b->q, b->v, b->a);
   memcpy(b->data->qpos, b->q, (size_t)b->body->nq * sizeof(double));
   memcpy(b->data->qvel, b->v, (size_t)b->body->nv * sizeof(double));
   memcpy(b->data->qacc, b->a, (size_t)b->body->nv * sizeof(double));
   mj_inverse(b->model, b->data);
-  memcpy(b->data->qacc, b->a, (size_t)b->body->nv * sizeof(double));
 }
 
 static double relative_difference(const double *ours, const double *theirs, int n)
@@ -90,49 +78,87 @@ static double relative_difference(const double *ours, const double *theirs, int 
   return sqrt(difference / size);
 }
 
-static void dynamics_agree_with_mujoco(void **state)
+/* a = M^-1 (tau - bias), densely: shares nothing with the recursions. */
+static void accelerate(both *b, double *a, const double *tau)
 {
-  (void)state;
-  both b = set_up();
-  assert_int_equal(b.body->segment_count, 23);
+  static double M[NV_MAX * NV_MAX];
+  const double zero[NV_MAX] = {0};
+  kg_dynamics_inverse(b->dynamics, a, b->q, b->v, zero);
+  for (int k = 0; k < b->body->nv; k++) {
+    a[k] = tau[k] - a[k];
+  }
+  kg_dynamics_mass_matrix(b->dynamics, M, b->q);
+  assert_true(kg_dense_cholesky_factor(M, b->body->nv));
+  kg_dense_cholesky_solve(M, b->body->nv, a, 1);
+}
+
+static void compare_dynamics(kg_bench_skeleton skeleton, const char *data, int segments)
+{
+  both b = set_up(skeleton, data);
+  assert_int_equal(b.body->segment_count, segments);
   kg_random random = kg_random_make(2022);
   const int nv = b.body->nv;
-  static double M[NV_MAX * NV_MAX], theirs[NV_MAX * NV_MAX], tau[NV_MAX];
+  static double M[NV_MAX * NV_MAX], theirs[NV_MAX * NV_MAX];
+  double tau[NV_MAX], a[NV_MAX];
   const double zero[NV_MAX] = {0};
-  double worst[3] = {0, 0, 0};
+  double worst[4] = {0};
   for (int s = 0; s < STATES; s++) {
     random_state(&b, &random);
     kg_dynamics_inverse(b.dynamics, tau, b.q, b.v, b.a);
     worst[0] = fmax(worst[0], relative_difference(tau, b.data->qfrc_inverse, nv));
+    memcpy(b.data->qfrc_applied, tau, (size_t)nv * sizeof *tau);
     mj_forward(b.model, b.data);
-    kg_dynamics_inverse(b.dynamics, tau, b.q, b.v, zero);
-    worst[1] = fmax(worst[1], relative_difference(tau, b.data->qfrc_bias, nv));
+    kg_dynamics_inverse(b.dynamics, a, b.q, b.v, zero);
+    worst[1] = fmax(worst[1], relative_difference(a, b.data->qfrc_bias, nv));
     mj_fullM(b.model, theirs, b.data->qM);
     kg_dynamics_mass_matrix(b.dynamics, M, b.q);
     worst[2] = fmax(worst[2], relative_difference(M, theirs, nv * nv));
+    accelerate(&b, a, tau);
+    worst[3] = fmax(worst[3], relative_difference(a, b.data->qacc, nv));
   }
-  print_message("worst relative difference over %d states: inverse dynamics %.1e, bias %.1e, "
-                "M %.1e\n",
-                STATES, worst[0], worst[1], worst[2]);
-  for (int k = 0; k < 3; k++) {
+  print_message("%s: worst relative difference over %d states: inverse dynamics %.1e, bias %.1e, "
+                "M %.1e, forward dynamics %.1e\n",
+                b.of.source, STATES, worst[0], worst[1], worst[2], worst[3]);
+  for (int k = 0; k < 4; k++) {
     assert_at_most(worst[k], 1e-10);
   }
   tear_down(&b);
 }
 
+static void dynamics_agree_with_mujoco(void **state)
+{
+  (void)state;
+  compare_dynamics(KG_BENCH_MAPPED, KG_TEST_DATA "/walker.bvh", 23);
+  compare_dynamics(KG_BENCH_MAPPED, NULL, 23);
+  compare_dynamics(KG_BENCH_EVERY_JOINT, NULL, 37);
+}
+
+static void dynamics_of_captured_skeletons_agree_with_mujoco(void **state)
+{
+  (void)state;
+  if (access(KG_TEST_SHARED "/data", R_OK) != 0) {
+    print_message("skipped: %s is not there\n", KG_TEST_SHARED "/data");
+    skip();
+  }
+  compare_dynamics(KG_BENCH_MAPPED, KG_TEST_SHARED "/data", 23);
+  compare_dynamics(KG_BENCH_EVERY_JOINT, KG_TEST_SHARED "/data", 37);
+}
+
 static void poses_and_momentum_agree_with_mujoco(void **state)
 {
   (void)state;
-  both b = set_up();
+  both b = set_up(KG_BENCH_EVERY_JOINT, NULL);
   kg_random random = kg_random_make(77);
-  kg_vec3 p[23];
-  kg_mat3 R[23];
+  const int n = b.body->segment_count;
+  kg_vec3 p[KG_BENCH_SYNTHETIC_JOINTS];
+  kg_mat3 R[KG_BENCH_SYNTHETIC_JOINTS];
+  assert_int_equal(n, KG_BENCH_SYNTHETIC_JOINTS);
   for (int s = 0; s < STATES; s++) {
     random_state(&b, &random);
     mj_forward(b.model, b.data);
     mj_subtreeVel(b.model, b.data);
     kg_dynamics_pose(b.dynamics, b.q, p, R);
-    for (int i = 0; i < 23; i++) {
+    for (int i = 0; i < n; i++) {
       const double *x = b.data->xpos + 3 * (i + 1), *m = b.data->xmat + 9 * (i + 1);
       const kg_vec3 d = kg_vec3_sub(p[i], kg_vec3_make(x[0], x[1], x[2]));
       assert_at_most(kg_vec3_norm(d), 1e-12);
@@ -155,9 +181,9 @@ static void poses_and_momentum_agree_with_mujoco(void **state)
 static void the_model_stands_on_its_ground(void **state)
 {
   (void)state;
-  both b = set_up();
+  both b = set_up(KG_BENCH_MAPPED, KG_TEST_DATA "/walker.bvh");
   b.model->opt.disableflags &= ~mjDSBL_CONSTRAINT;
-  kg_body_state_from_clip(b.body, b.clip, 0, b.q, NULL);
+  kg_body_state_from_clip(b.body, b.of.clip, 0, b.q, NULL);
   b.q[1] -= 0.2; /* well into the floor: MuJoCo must see contacts, and only with the ground */
   memcpy(b.data->qpos, b.q, (size_t)b.body->nq * sizeof(double));
   mj_forward(b.model, b.data);
@@ -173,7 +199,7 @@ static void the_model_stands_on_its_ground(void **state)
 static void a_path_that_cannot_be_written_is_reported(void **state)
 {
   (void)state;
-  both b = set_up();
+  both b = set_up(KG_BENCH_MAPPED, NULL);
   kg_error error = {0};
   const char *path = KG_TEST_SCRATCH "/no such folder/model.xml";
   assert_int_equal(kg_body_write_mjcf(b.body, path, 9.8, &error), KG_ERR_WRITE);
@@ -185,6 +211,7 @@ int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(dynamics_agree_with_mujoco),
+    cmocka_unit_test(dynamics_of_captured_skeletons_agree_with_mujoco),
     cmocka_unit_test(poses_and_momentum_agree_with_mujoco),
     cmocka_unit_test(the_model_stands_on_its_ground),
     cmocka_unit_test(a_path_that_cannot_be_written_is_reported),
