@@ -113,3 +113,51 @@ bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene,
   }
   return true;
 }
+
+/* Derivatives of the elastic force (1), (2) by layer, force and floor share. */
+static void elastic_by_params(const kg_contact_params *p, double phi, double by[3])
+{
+  const double share = p->floor_share, layer = p->layer, floor = share * layer;
+  if (phi >= floor) {
+    const double d = layer - phi;
+    by[0] = p->force * d * (layer + phi) / (layer * layer * phi);
+    by[1] = d * d / (layer * phi);
+    by[2] = 0.0;
+    return;
+  }
+  /* N = F (1 - s)^2 / s - F (1 - s^2) / s^2 (phi / layer - s) */
+  const double steep = (1.0 - share * share) / (share * share), below = phi / layer - share;
+  by[0] = p->force * steep * phi / (layer * layer);
+  by[1] = (1.0 - share) * (1.0 - share) / share - steep * below;
+  by[2] = 2.0 * p->force / (share * share * share) * below;
+}
+
+/* Derivative of the factor of (5) by the stick velocity */
+static double slip_by_stick(const kg_contact_params *p, double speed)
+{
+  if (speed >= p->stick) return 0.0;
+  const double inverse = 1.0 / p->stick;
+  return 2.0 * inverse * inverse * (speed * inverse - 1.0);
+}
+
+void kg_contact_params_vjp(const kg_contact_params *params, const kg_contact_force *force,
+                           kg_vec3 u, kg_vec3 f_bar, double *params_bar)
+{
+  const kg_contact_params *p = params;
+  const kg_contact_force *c = force;
+  double *bar = params_bar;
+  const double speed_n = kg_vec3_dot(c->direction, u);
+  const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, c->direction);
+  const curve N = elastic(p, c->distance), r = ramp(1.0 - p->damping * speed_n);
+  const double factor = friction_slip(p, u_t).factor;
+  const double along = kg_vec3_dot(f_bar, c->direction), across = kg_vec3_dot(f_bar, u_t);
+  const double by_normal = along - p->friction * factor * across;
+  double by[3];
+  elastic_by_params(p, c->distance, by);
+  for (int k = 0; k < 3; k++) {
+    bar[k] += by_normal * r.y * by[k];
+  }
+  bar[3] -= by_normal * N.y * r.slope * speed_n;
+  bar[4] -= c->normal * factor * across;
+  bar[5] -= c->normal * p->friction * slip_by_stick(p, kg_vec3_norm(u_t)) * across;
+}

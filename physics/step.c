@@ -70,6 +70,10 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   made.q_sub = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.v_sub = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.x = KG_ARENA_ARRAY(&arena, double, body->nv);
+  const int states = (1 << def->max_substep_levels) + 1;
+  made.trace_q = KG_ARENA_ARRAY(&arena, double, (size_t)states * (size_t)body->nq);
+  made.trace_v = KG_ARENA_ARRAY(&arena, double, (size_t)states * (size_t)body->nv);
+  made.returned = KG_ARENA_ARRAY(&arena, double, KG_STEP_RETURNED * body->nv);
   kg_status status = kg_arena_failed(&arena) ? KG_ERR_NO_MEMORY : create_parts(&made);
   if (status == KG_OK) {
     kg_tree_matrix_init(&made.J, &made.dynamics->tree, &arena);
@@ -210,6 +214,14 @@ static bool solve_once(kg_step *s, const double *q, const double *v, double dt, 
   return r.stop == KG_NEWTON_CONVERGED;
 }
 
+/* The state a sub-step starts from, or the last one ends at. */
+static void keep_state(kg_step *s, int k)
+{
+  const kg_body *body = s->def.body;
+  memcpy(s->trace_q + k * body->nq, s->q_sub, (size_t)body->nq * sizeof(double));
+  memcpy(s->trace_v + k * body->nv, s->v_sub, (size_t)body->nv * sizeof(double));
+}
+
 /* 2^level sub-steps; q_end and v_sub hold the end. Gives up at the first failure unless `last`. */
 static bool solve_divided(kg_step *s, const double *q, const double *v, double dt, int level,
                           bool last, kg_step_report *report)
@@ -220,16 +232,31 @@ static bool solve_divided(kg_step *s, const double *q, const double *v, double d
   double worst = 0.0;
   memcpy(s->q_sub, q, (size_t)body->nq * sizeof *q);
   memcpy(s->v_sub, v, (size_t)body->nv * sizeof *v);
+  keep_state(s, 0);
   for (int k = 0; k < count && (good || last); k++) {
     memcpy(s->x, s->v_sub, (size_t)body->nv * sizeof *v);
     good = solve_once(s, s->q_sub, s->v_sub, dt / count, s->x, report, &worst) && good;
     kg_step_ensure_evaluated(s, s->x);
     memcpy(s->q_sub, s->q_end, (size_t)body->nq * sizeof *q);
     memcpy(s->v_sub, s->x, (size_t)body->nv * sizeof *v);
+    keep_state(s, k + 1);
   }
   report->substeps = count;
   report->residual = worst;
   return good;
+}
+
+bool kg_step_trace(kg_step *s, const double *q, const double *v, const double *tau, double dt,
+                   int substeps)
+{
+  kg_step_report report = {.substeps = 1};
+  int level = 0;
+  while (1 << level < substeps) {
+    level++;
+  }
+  KG_ASSERT(1 << level == substeps && level <= s->def.max_substep_levels);
+  s->tau = tau;
+  return solve_divided(s, q, v, dt, level, false, &report);
 }
 
 void kg_step_advance(kg_step *step, double *q_next, double *v_next, const double *q,

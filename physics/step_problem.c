@@ -4,6 +4,7 @@
  * is written before the number. */
 #include "physics/step_problem.h"
 
+#include "physics/passive.h"
 #include "physics/physics.h"
 #include "physics/rows.h"
 
@@ -180,6 +181,21 @@ bool kg_step_evaluate(double *G, const double *v_end, void *user)
   return true;
 }
 
+/* G += passive torques of the ball joints at q_end, v_end */
+static void add_passive(const kg_step *s, double *G)
+{
+  for (int k = 6; k < s->def.body->nv; k++) {
+    G[k] += s->def.joint_damping * s->v_end[k];
+  }
+  for (int i = 1; i < s->def.body->segment_count && s->def.passive; i++) {
+    const kg_joint_passive *p = &s->def.passive[i];
+    double *own = G + 3 + 3 * i;
+    const kg_vec3 w = kg_load3(s->v_end + 3 + 3 * i);
+    const kg_vec3 spring = kg_passive_torque(p, kg_state_quat(s->q_end, i), NULL);
+    kg_store3(own, kg_vec3_add(kg_load3(own), kg_vec3_add_scaled(spring, p->damping, w)));
+  }
+}
+
 /* G of the links' inertial and external forces */
 void kg_step_project(kg_step *s, double *G)
 {
@@ -187,9 +203,7 @@ void kg_step_project(kg_step *s, double *G)
   for (int k = 0; k < s->def.body->nv && s->tau; k++) {
     G[k] -= s->tau[k];
   }
-  for (int k = 6; k < s->def.body->nv; k++) {
-    G[k] += s->def.joint_damping * s->v_end[k];
-  }
+  add_passive(s, G);
 }
 
 static kg_mat63 times(const kg_mat63 *A, const kg_mat3 *E)
@@ -210,15 +224,20 @@ static void add63(kg_mat63 *A, double s, const kg_mat63 *B)
   add_mat3(&A->v, s, B->v);
 }
 
+kg_mat3 kg_step_turn_by_rate(const kg_step *s, int b)
+{
+  if (b == 0) return kg_mat3_scale(s->dt, kg_mat3_identity());
+  const kg_vec3 turn = kg_vec3_scale(s->dt, kg_load3(s->v_end + 3 * b));
+  return kg_mat3_scale(s->dt, kg_so3_right_jacobian(turn));
+}
+
 /* (18) the pencil of v': the pose moves by dt Jr(dt w), the acceleration by 1/dt */
 static void make_pencil(kg_step *s)
 {
   kg_dynamics *d = s->dynamics;
   for (int b = 0; b <= d->n; b++) {
     kg_pencil *p = &d->pencil[b];
-    const kg_vec3 turn = kg_vec3_scale(s->dt, kg_load3(s->v_end + 3 * b));
-    const kg_mat3 E =
-      kg_mat3_scale(s->dt, b == 0 ? kg_mat3_identity() : kg_so3_right_jacobian(turn));
+    const kg_mat3 E = kg_step_turn_by_rate(s, b);
     p->T = times(&d->S[b], &E);
     p->U = times(&d->psi[b], &E);
     p->W = times(&d->psi_dot[b], &E);
@@ -226,6 +245,23 @@ static void make_pencil(kg_step *s)
     add63(&p->W, 1.0, &d->psi[b]);
     add63(&p->W, 1.0, &d->S_dot[b]);
     add63(&p->W, 1.0 / s->dt, &d->S[b]);
+  }
+}
+
+/* J += the passive torques' part, diagonal blocks */
+static void linearize_passive(kg_step *s)
+{
+  kg_dynamics *d = s->dynamics;
+  const kg_mat3 one = kg_mat3_identity();
+  for (int i = 1; i < d->n; i++) {
+    kg_tree_add_diagonal(&d->tree, &s->J, i + 1, s->def.joint_damping, &one);
+    if (!s->def.passive) continue;
+    const kg_joint_passive *p = &s->def.passive[i];
+    kg_mat3 by_turn;
+    (void)kg_passive_torque(p, kg_state_quat(s->q_end, i), &by_turn);
+    const kg_mat3 by_rate = kg_mat3_mul(by_turn, kg_step_turn_by_rate(s, i + 1));
+    kg_tree_add_diagonal(&d->tree, &s->J, i + 1, 1.0, &by_rate);
+    kg_tree_add_diagonal(&d->tree, &s->J, i + 1, p->damping, &one);
   }
 }
 
@@ -247,10 +283,30 @@ void kg_step_assemble(kg_step *s)
   kg_tree_prepare(d);
   make_pencil(s);
   kg_tree_jacobian(d, &s->J);
-  const kg_mat3 one = kg_mat3_identity();
-  for (int b = 2; b <= d->n; b++) {
-    kg_tree_add_diagonal(&d->tree, &s->J, b, s->def.joint_damping, &one);
+  linearize_passive(s);
+}
+
+void kg_step_linearize_pose(kg_step *s, kg_tree_matrix *P)
+{
+  kg_dynamics *d = s->dynamics;
+  for (int b = 0; b <= d->n; b++) {
+    d->pencil[b] = (kg_pencil){d->S[b], d->psi[b], d->psi_dot[b]};
   }
+  kg_tree_jacobian(d, P);
+  for (int i = 1; i < d->n && s->def.passive; i++) {
+    kg_mat3 by_turn;
+    (void)kg_passive_torque(&s->def.passive[i], kg_state_quat(s->q_end, i), &by_turn);
+    kg_tree_add_diagonal(&d->tree, P, i + 1, 1.0, &by_turn);
+  }
+}
+
+void kg_step_mass(kg_step *s, kg_tree_matrix *M)
+{
+  kg_dynamics *d = s->dynamics;
+  for (int b = 0; b <= d->n; b++) {
+    d->pencil[b] = (kg_pencil){.W = d->S[b]};
+  }
+  kg_tree_jacobian(d, M);
 }
 
 /* The links are where Newton left them, unless it ended on a rejected point. */

@@ -16,6 +16,8 @@ typedef struct point_group {
   double radius;
 } point_group;
 
+enum { KG_STEP_RETURNED = 9 };
+
 struct kg_step {
   kg_step_def def;
   kg_dynamics *dynamics;
@@ -35,6 +37,8 @@ struct kg_step {
   double *G;                 /* of a repeated evaluation     */
   double *x_start, *x_good;  /* the guess; last solution on the way to the hard law */
   double *q_sub, *v_sub, *x; /* state inside a sequence of sub-steps, unknowns */
+  double *trace_q, *trace_v; /* states between the sub-steps of the last divided step, both ends too */
+  double *returned;          /* KG_STEP_RETURNED arrays of nv for the adjoint */
   /* the step being solved */
   const double *q, *v, *tau;
   double dt;
@@ -62,6 +66,17 @@ void kg_step_project(kg_step *s, double *G);
 void kg_step_linearize(kg_step *s);
 /* The same with whatever external forces, K and D the segments' sums now have (kg_tree_prepare). */
 void kg_step_assemble(kg_step *s);
+
+/* After kg_step_linearize: P = dG/dq' (by a turn of q', v' held), M = dG/da. */
+void kg_step_linearize_pose(kg_step *s, kg_tree_matrix *P);
+void kg_step_mass(kg_step *s, kg_tree_matrix *M);
+/* How v' moves the tangent of q': dt Jr(dt w) for block b > 0, dt 1 for the root's place. */
+kg_mat3 kg_step_turn_by_rate(const kg_step *s, int b);
+
+/* Repeats a step in so many equal sub-steps and leaves the states between them in trace_q, trace_v;
+ * false when one of them does not converge. */
+bool kg_step_trace(kg_step *s, const double *q, const double *v, const double *tau, double dt,
+                   int substeps);
 
 /* Velocity of the point x (relative to O) of a segment. */
 static inline kg_vec3 kg_point_velocity(const kg_link *l, kg_vec3 x)

@@ -257,4 +257,210 @@ static inline void complex_inverse(const complex_body *b, const complex_pose *s,
   }
 }
 
+/* ---- the equation of a step --------------------------------------------------------------------*/
+
+typedef struct complex_joint {
+  cplx stiffness, damping, limit_stiffness;
+  kg_quat rest;
+  double low[3], high[3];
+} complex_joint;
+
+/* G and all it depends on. Ground: the plane y = 0 and, with a radius, a ball. */
+typedef struct complex_step {
+  complex_body body;
+  const double *q;
+  cplx turn[MAX_NV]; /* moves q */
+  cplx v[MAX_NV], tau[MAX_NV], v_end[MAX_NV];
+  double dt;
+  cplx contact[6];
+  kg_vec3 ball;
+  double radius;
+  cplx joint_damping;
+  bool has_passive;
+  complex_joint joint[MAX_NV];
+} complex_step;
+
+typedef struct complex_surface {
+  cplx phi;
+  c3 normal;
+} complex_surface;
+
+static inline complex_surface complex_distance(const complex_step *s, c3 x)
+{
+  complex_surface near = {x.y, {0.0, 1.0, 0.0}};
+  if (s->radius > 0.0) {
+    const c3 r = c_sub(x, c_real(s->ball));
+    const cplx length = csqrt(c_dot(r, r));
+    if (creal(length) - s->radius < creal(near.phi)) {
+      near = (complex_surface){length - s->radius, c_scale(1.0 / length, r)};
+    }
+  }
+  return near;
+}
+
+/* docs/theory/contact.md, (1) to (5), written from there */
+static inline c3 complex_contact(const complex_step *s, c3 x, c3 u)
+{
+  const cplx layer = s->contact[0], F = s->contact[1], share = s->contact[2];
+  const cplx damping = s->contact[3], mu = s->contact[4], stick = s->contact[5];
+  const complex_surface at = complex_distance(s, x);
+  if (creal(at.phi) >= creal(layer)) return (c3){0.0, 0.0, 0.0};
+  const cplx phi_dot = c_dot(at.normal, u);
+  cplx N;
+  if (creal(at.phi) >= creal(share * layer)) {
+    N = F * (layer - at.phi) * (layer - at.phi) / (layer * at.phi);
+  } else {
+    const cplx p = share * layer, d = layer - p;
+    const cplx slope = F / layer * (-2.0 * d / p - d * d / (p * p));
+    N = F * d * d / (layer * p) + slope * (at.phi - p);
+  }
+  const cplx y = 1.0 - damping * phi_dot;
+  const cplx r = creal(y) >= 0.1 ? y : creal(y) <= -0.1 ? 0.0 : (y + 0.1) * (y + 0.1) / 0.4;
+  const c3 u_t = c_sub(u, c_scale(phi_dot, at.normal));
+  const cplx speed = csqrt(c_dot(u_t, u_t));
+  const cplx z = speed / stick;
+  const cplx k = creal(z) < 1.0 ? (2.0 - z) / stick : 1.0 / speed;
+  return c_scale(N * r, c_sub(at.normal, c_scale(mu * k, u_t)));
+}
+
+/* Rotation vector of the matrix, below half a turn: from its antisymmetric part and its trace */
+static inline c3 c_log(const c33 *R)
+{
+  const cplx *m = R->m;
+  const c3 twice_sine = {m[7] - m[5], m[2] - m[6], m[3] - m[1]};
+  const cplx cosine = 0.5 * (m[0] + m[4] + m[8] - 1.0);
+  const cplx sine = 0.5 * csqrt(c_dot(twice_sine, twice_sine));
+  /* of a complex sine and cosine to first order in the imaginary parts, which are tiny: da = cos ds - sin dc */
+  const double sn = creal(sine), cs = creal(cosine);
+  const cplx angle = atan2(sn, cs) + _Complex_I * (cs * cimag(sine) - sn * cimag(cosine));
+  return c_scale(0.5 * angle / sine, twice_sine);
+}
+
+/* dE/dr of kg_joint_passive */
+static inline c3 complex_spring(const complex_joint *j, c3 r)
+{
+  cplx g[3] = {r.x, r.y, r.z};
+  for (int k = 0; k < 3; k++) {
+    const cplx x = g[k];
+    g[k] = j->stiffness * x;
+    if (creal(x) > j->high[k]) g[k] += j->limit_stiffness * (x - j->high[k]) * (x - j->high[k]);
+    if (creal(x) < j->low[k]) g[k] -= j->limit_stiffness * (x - j->low[k]) * (x - j->low[k]);
+  }
+  return (c3){g[0], g[1], g[2]};
+}
+
+/* Torque t with t . d = dE for a turn d of the joint: g' dr/dd by the left-invariant series
+ * ad / (1 - exp(-ad)) = 1 + ad / 2 + ad^2 / 12 - ..., summed by solving Jr(r) (dr/dd) = 1 for
+ * Jr = sum (-ad)^k / (k+1)!. */
+static inline c3 complex_passive(const complex_joint *j, const c33 *Q)
+{
+  const double rest[4] = {j->rest.w, j->rest.x, j->rest.y, j->rest.z};
+  const c33 at_rest = c_quat(rest), back = c_transposed(&at_rest);
+  const c33 relative = c_product(&back, Q);
+  const c3 r = c_log(&relative);
+  const c3 g = complex_spring(j, r);
+  const c33 ad = {{0.0, r.z, -r.y, -r.z, 0.0, r.x, r.y, -r.x, 0.0}}; /* -[r] */
+  c33 Jr = {{1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0}}, term = Jr;
+  for (int k = 1; k < 30; k++) {
+    term = c_product(&term, &ad);
+    for (int e = 0; e < 9; e++) {
+      term.m[e] /= k + 1;
+      Jr.m[e] += term.m[e];
+    }
+  }
+  /* Jr' t = g by Cramer's rule: rows of Jr' are columns of Jr */
+  const c3 a = {Jr.m[0], Jr.m[1], Jr.m[2]}, b = {Jr.m[3], Jr.m[4], Jr.m[5]},
+           c = {Jr.m[6], Jr.m[7], Jr.m[8]};
+  const cplx det = c_dot(a, c_cross(b, c));
+  return (c3){c_dot(g, c_cross(b, c)) / det, c_dot(g, c_cross(c, a)) / det,
+              c_dot(g, c_cross(a, b)) / det};
+}
+
+static inline void complex_residual(const complex_step *s, cplx *G)
+{
+  static complex_pose pose; /* large */
+  const complex_body *b = &s->body;
+  cplx a[MAX_NV];
+  c3 w[MAX_NV], p_dot[MAX_NV];
+  const int nv = 3 + 3 * b->n;
+  pose = complex_pose_of(b, s->q);
+  complex_move(b, &pose, 1.0, s->turn);
+  complex_move(b, &pose, s->dt, s->v_end);
+  complex_place(b, &pose);
+  for (int k = 0; k < nv; k++) {
+    a[k] = (s->v_end[k] - s->v[k]) / s->dt;
+  }
+  complex_inverse(b, &pose, s->v_end, a, G);
+  for (int k = 0; k < nv; k++) {
+    G[k] -= s->tau[k];
+    G[k] += k >= 6 ? s->joint_damping * s->v_end[k] : 0.0;
+  }
+  complex_rates(b, &pose, s->v_end, w, p_dot);
+  for (int k = 0; k < b->point_count; k++) {
+    const int i = b->segment[k];
+    const c3 arm = c_apply(&pose.R[i], b->point[k]), x = c_add(pose.p[i], arm);
+    const c3 f = complex_contact(s, x, c_add(p_dot[i], c_cross(w[i], arm)));
+    complex_project(b, &pose, i, x, f, (c3){0.0, 0.0, 0.0}, -1.0, G);
+  }
+  for (int i = 1; i < b->n && s->has_passive; i++) {
+    const complex_joint *j = &s->joint[i];
+    const c3 t = complex_passive(j, &pose.Q[i]);
+    G[3 + 3 * i] += t.x + j->damping * s->v_end[3 + 3 * i];
+    G[4 + 3 * i] += t.y + j->damping * s->v_end[4 + 3 * i];
+    G[5 + 3 * i] += t.z + j->damping * s->v_end[5 + 3 * i];
+  }
+}
+
+/* Tangent of q' = q (+) turn (+) dt v_end at its real value: imaginary parts only. */
+static inline void complex_end_tangent(const complex_step *s, double *out)
+{
+  static complex_pose pose, real_pose;
+  const complex_body *b = &s->body;
+  cplx real_end[MAX_NV];
+  for (int k = 0; k < 3 + 3 * b->n; k++) {
+    real_end[k] = creal(s->v_end[k]);
+  }
+  pose = real_pose = complex_pose_of(b, s->q);
+  complex_move(b, &pose, 1.0, s->turn);
+  complex_move(b, &pose, s->dt, s->v_end);
+  complex_move(b, &real_pose, s->dt, real_end);
+  out[0] = cimag(pose.root.x);
+  out[1] = cimag(pose.root.y);
+  out[2] = cimag(pose.root.z);
+  for (int i = 0; i < b->n; i++) {
+    const c33 back = c_transposed(&real_pose.Q[i]);
+    const c33 turn = c_product(&back, &pose.Q[i]);
+    out[3 + 3 * i] = cimag(turn.m[7]);
+    out[4 + 3 * i] = cimag(turn.m[2]);
+    out[5 + 3 * i] = cimag(turn.m[3]);
+  }
+}
+
+static inline complex_step complex_step_of(const kg_step_def *def, const double *q, const double *v,
+                                           const double *tau, double dt, const double *v_end)
+{
+  complex_step s = {.body = complex_body_of(def->body), .q = q, .dt = dt};
+  const kg_contact_params *c = &def->contact;
+  const cplx law[6] = {c->layer, c->force, c->floor_share, c->damping, c->friction, c->stick};
+  memcpy(s.contact, law, sizeof law);
+  s.joint_damping = def->joint_damping;
+  s.body.gravity = c_real(def->gravity);
+  for (int k = 0; k < def->body->nv; k++) {
+    s.v[k] = v[k];
+    s.tau[k] = tau ? tau[k] : 0.0;
+    s.v_end[k] = v_end[k];
+  }
+  for (int i = 0; i < s.body.n && def->passive; i++) {
+    const kg_joint_passive *p = &def->passive[i];
+    s.has_passive = true;
+    s.joint[i] = (complex_joint){p->stiffness,
+                                 p->damping,
+                                 p->limit_stiffness,
+                                 p->rest,
+                                 {p->limit_low.x, p->limit_low.y, p->limit_low.z},
+                                 {p->limit_high.x, p->limit_high.y, p->limit_high.z}};
+  }
+  return s;
+}
+
 #endif

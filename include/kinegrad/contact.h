@@ -45,6 +45,13 @@ typedef struct kg_contact_force {
 KG_API bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
                                 kg_vec3 u, bool derivatives, kg_contact_force *out);
 
+enum { KG_CONTACT_PARAM_COUNT = 6 };
+
+/* Gradient of f_bar . f by the six parameters (order of kg_contact_params), of a force inside the
+ * layer, as kg_contact_evaluate left it for the velocity u: adds to params_bar[6]. */
+KG_API void kg_contact_params_vjp(const kg_contact_params *params, const kg_contact_force *force,
+                                  kg_vec3 u, kg_vec3 f_bar, double *params_bar);
+
 #ifdef __cplusplus
 }
 #endif

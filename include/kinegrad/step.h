@@ -1,7 +1,7 @@
 /* kinegrad/step.h - one backward Euler step of a body with contact (docs/theory/dynamics.md).
  *
  * Solves for the end-of-step velocity v':
- *   G(v') = ID(q', v', (v' - v)/dt) + c v'_joint - tau - J_c(q')' f_c(q', v') = 0,
+ *   G(v') = ID(q', v', (v' - v)/dt) + passive(q', v') - tau - J_c(q')' f_c(q', v') = 0,
  *   q' = q (+) dt v'
  * by Newton's method with line search on |diag(M(q))^-1/2 G dt| (kg^1/2 m/s), exact Jacobian,
  * sparse LU along the tree (leaf to root, no fill-in). Where Newton fails from the starting guess,
@@ -21,6 +21,23 @@ extern "C" {
 
 typedef struct kg_step kg_step; /* one per thread */
 
+/* Passive torque of a ball joint, implicit: a spring about rest, damping, and one-sided springs at
+ * limits of the three components of the rotation vector r = log(rest^-1 q). All but the damping has
+ * the potential
+ *   E = stiffness |r|^2 / 2 + limit_stiffness / 3 sum_k excess_k(r)^3,
+ * so the torque is C1 at the limits. r is unique below half a turn, where limits have to be.
+ * docs/theory/dynamics.md, section 5. */
+typedef struct kg_joint_passive {
+  double stiffness;              /* N m/rad                                     */
+  double damping;                /* N m s/rad, beside the step's joint_damping  */
+  kg_quat rest;                  /* unit                                        */
+  kg_vec3 limit_low, limit_high; /* rad; -INFINITY, INFINITY: none              */
+  double limit_stiffness;        /* N m/rad^2; 0: no limits                     */
+} kg_joint_passive;
+
+/* J; without damping, which has none */
+KG_API double kg_joint_passive_energy(const kg_joint_passive *passive, kg_quat q);
+
 /* Start from kg_step_default_def(body). Pointers are borrowed and must outlive the step. */
 typedef struct kg_step_def {
   const kg_body *body;
@@ -28,6 +45,7 @@ typedef struct kg_step_def {
   kg_contact_params contact;
   kg_vec3 gravity;            /* default (0, -9.8, 0) m/s^2                                   */
   double joint_damping;       /* N m s/rad on every ball joint, implicit; default 0           */
+  const kg_joint_passive *passive; /* one per segment, that of the root is not used; NULL: none */
   double tolerance;           /* kg^1/2 m/s; default 1e-8                                     */
   int max_iterations;         /* default 50                                                   */
   int max_substep_levels;     /* 2^levels sub-steps at most; default 6                        */
@@ -67,6 +85,40 @@ KG_API void kg_step_advance(kg_step *step, double *q_next, double *v_next, const
 KG_API void kg_step_residual(kg_step *step, double *G, double *dG_dv_next, const double *v_next,
                              const double *q, const double *v, const double *tau, double dt,
                              kg_step_report *report);
+
+/* ---- derivatives of the step (docs/theory/dynamics.md, section 8) ---------------------------- */
+
+/* Where a gradient goes; NULL: not wanted. Results are added. */
+typedef struct kg_step_gradient {
+  double *q, *v, *tau;   /* nv; q in tangent space                                            */
+  double *contact;       /* KG_CONTACT_PARAM_COUNT, order of kg_contact_params                 */
+  double *joint_damping; /* 1                                                                  */
+  double *passive;       /* 3 n: stiffness, damping, limit_stiffness of every joint            */
+  kg_body_gradient body;
+} kg_step_gradient;
+
+/* Gradient of q_next_bar . q_next + v_next_bar . v_next (q_next_bar in the tangent space of q_next;
+ * nv each) for the step from (q, v) that ended at v_next, by the implicit function theorem: one
+ * transposed solve with the exact Jacobian at v_next, however v_next was found. substeps: as reported
+ * by kg_step_advance; with more than one the sub-steps are repeated and gone back through.
+ * KG_ERR_UNDEFINED, and nothing added: v_next does not solve the step to ten times the tolerance, or
+ * the Jacobian is singular. The gradient's arrays must not overlap the arguments. Allocates nothing. */
+KG_API KG_MUST_USE kg_status kg_step_vjp(kg_step *step, const kg_step_gradient *gradient,
+                                         const double *q, const double *v, const double *tau,
+                                         double dt, const double *v_next, int substeps,
+                                         const double *q_next_bar, const double *v_next_bar);
+
+/* nv*nv row-major each, q and q_next in their tangent spaces; NULL: not wanted. */
+typedef struct kg_step_jacobian {
+  double *dv_dq, *dv_dv, *dv_dtau; /* of v_next */
+  double *dq_dq, *dq_dv, *dq_dtau; /* of q_next */
+} kg_step_jacobian;
+
+/* All derivatives of a step by its state and forces. Arguments and status as in kg_step_vjp. */
+KG_API KG_MUST_USE kg_status kg_step_derivatives(kg_step *step, const kg_step_jacobian *jacobian,
+                                                 const double *q, const double *v,
+                                                 const double *tau, double dt,
+                                                 const double *v_next, int substeps);
 
 #ifdef __cplusplus
 }
