@@ -8,7 +8,6 @@
 #include <mujoco/mujoco.h>
 
 #include "bench/dynamics/models.h"
-#include "kinegrad/dense.h"
 #include "kinegrad/dynamics.h"
 
 enum { STATES = 1000, NV_MAX = 120, NQ_MAX = 160 };
@@ -78,20 +77,6 @@ static double relative_difference(const double *ours, const double *theirs, int 
   return sqrt(difference / size);
 }
 
-/* a = M^-1 (tau - bias), densely: shares nothing with the recursions. */
-static void accelerate(both *b, double *a, const double *tau)
-{
-  static double M[NV_MAX * NV_MAX];
-  const double zero[NV_MAX] = {0};
-  kg_dynamics_inverse(b->dynamics, a, b->q, b->v, zero);
-  for (int k = 0; k < b->body->nv; k++) {
-    a[k] = tau[k] - a[k];
-  }
-  kg_dynamics_mass_matrix(b->dynamics, M, b->q);
-  assert_true(kg_dense_cholesky_factor(M, b->body->nv));
-  kg_dense_cholesky_solve(M, b->body->nv, a, 1);
-}
-
 static void compare_dynamics(kg_bench_skeleton skeleton, const char *data, int segments)
 {
   both b = set_up(skeleton, data);
@@ -113,7 +98,7 @@ static void compare_dynamics(kg_bench_skeleton skeleton, const char *data, int s
     mj_fullM(b.model, theirs, b.data->qM);
     kg_dynamics_mass_matrix(b.dynamics, M, b.q);
     worst[2] = fmax(worst[2], relative_difference(M, theirs, nv * nv));
-    accelerate(&b, a, tau);
+    kg_dynamics_forward(b.dynamics, a, b.q, b.v, tau);
     worst[3] = fmax(worst[3], relative_difference(a, b.data->qacc, nv));
   }
   print_message("%s: worst relative difference over %d states: inverse dynamics %.1e, bias %.1e, "

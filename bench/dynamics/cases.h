@@ -20,7 +20,7 @@
   }
 #endif
 
-enum { BENCH_KERNEL_CASES = 6, BENCH_STEP_CASES = 3 };
+enum { BENCH_KERNEL_CASES = 12, BENCH_STEP_CASES = 3 };
 
 extern const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES];
 extern const kg_bench_case kg_bench_step_cases[BENCH_STEP_CASES];

@@ -10,6 +10,7 @@
 
 #include "bench/dynamics/cases.h"
 #include "bench/dynamics/reference.h"
+#include "kinegrad/dense.h"
 #include "kinegrad/dynamics.h"
 
 /* Which body and how many states: few where the answers are matrices. */
@@ -106,13 +107,13 @@ static kg_status open_matrix(kg_bench_problem *problem, const kg_bench_setting *
   return status;
 }
 
-/* all dtau/dq, then all dtau/dv, then all M */
+/* all derivatives by q, then all by v, then all by a or tau */
 static kg_status open_derivatives(kg_bench_problem *problem, const kg_bench_setting *setting,
                                   const void *detail, kg_error *error)
 {
   const kg_status status = open(problem, setting, detail, error);
   if (status == KG_OK) {
-    static const char *const names[3] = {"dtau/dq", "dtau/dv", "dtau/da"};
+    static const char *const names[3] = {"by q", "by v", "by a or tau"};
     const states *s = problem->data;
     const size_t nv = (size_t)s->model.body->nv;
     for (int k = 0; k < 3; k++) {
@@ -131,7 +132,8 @@ typedef struct kernel {
 #ifdef KG_BENCH_HAS_MUJOCO
   kg_mujoco *mujoco;
 #endif
-  double *work; /* (count, nv) */
+  double *lanes; /* q, v, a and answers of the states, eight at a time: x[k][8] */
+  bool is_compared;
 } kernel;
 
 static void destroy(void *state)
@@ -141,7 +143,7 @@ static void destroy(void *state)
 #ifdef KG_BENCH_HAS_MUJOCO
   kg_mujoco_close(k->mujoco);
 #endif
-  free(k->work);
+  free(k->lanes);
   free(k);
 }
 
@@ -150,11 +152,6 @@ static kernel *kernel_of(const states *of)
   kernel *k = calloc(1, sizeof *k);
   if (k) {
     k->of = of;
-    k->work = malloc((size_t)of->count * (size_t)of->model.body->nv * sizeof *k->work);
-    if (!k->work) {
-      free(k);
-      return NULL;
-    }
   }
   return k;
 }
@@ -172,6 +169,64 @@ static kg_status create(void **state, const void *data, const kg_allocator *allo
   }
   *state = k;
   return KG_OK;
+}
+
+/* Where group g of eight states has its q, v, a and answer in lanes. */
+typedef struct group {
+  double *q, *v, *a, *out;
+} group;
+
+static group group_of(const kernel *k, int g)
+{
+  const size_t nq = (size_t)k->of->model.body->nq, nv = (size_t)k->of->model.body->nv;
+  double *at = k->lanes + (size_t)g * 8 * (nq + 3 * nv);
+  return (group){at, at + 8 * nq, at + 8 * (nq + nv), at + 8 * (nq + 2 * nv)};
+}
+
+static void to_lanes(double *lanes, const double *rows, int n)
+{
+  for (int f = 0; f < 8; f++) {
+    for (int k = 0; k < n; k++) {
+      lanes[8 * k + f] = rows[f * n + k];
+    }
+  }
+}
+
+static kg_status create_lanes(void **state, const void *data, const kg_allocator *allocator)
+{
+  const kg_status status = create(state, data, allocator);
+  if (status != KG_OK) {
+    return status;
+  }
+  kernel *k = *state;
+  const states *s = k->of;
+  const int nq = s->model.body->nq, nv = s->model.body->nv;
+  KG_ASSERT(s->count % 8 == 0);
+  k->lanes = calloc((size_t)s->count * (size_t)(nq + 3 * nv), sizeof *k->lanes);
+  if (!k->lanes) {
+    destroy(k);
+    return KG_ERR_NO_MEMORY;
+  }
+  for (int g = 0; g < s->count / 8; g++) {
+    const group at = group_of(k, g);
+    to_lanes(at.q, s->q + 8 * g * nq, nq);
+    to_lanes(at.v, s->v + 8 * g * nv, nv);
+    to_lanes(at.a, s->a + 8 * g * nv, nv);
+  }
+  return KG_OK;
+}
+
+/* Only the first answer is looked at: the runs that are timed leave theirs in lanes. */
+static void answer_from_lanes(kernel *k, double *answer)
+{
+  const int nv = k->of->model.body->nv;
+  for (int i = 0; i < k->of->count && !k->is_compared; i++) {
+    const group at = group_of(k, i / 8);
+    for (int j = 0; j < nv; j++) {
+      answer[i * nv + j] = at.out[8 * j + i % 8];
+    }
+  }
+  k->is_compared = true;
 }
 
 #ifdef KG_BENCH_HAS_MUJOCO
@@ -204,7 +259,7 @@ static size_t row(const states *s, int i)
   return (size_t)i * (size_t)s->model.body->nv;
 }
 
-/* A run: f for every state, the arguments written with k, s and i. */
+/* A run: the call for every state i of s. */
 #define RUN(name, call)                                                                            \
   static kg_status name(void *state, double *answer)                                               \
   {                                                                                                \
@@ -232,7 +287,24 @@ static kg_status inverse_reference(const void *data, double *answer)
 RUN(run_inverse, kg_dynamics_inverse(k->dynamics, answer + row(s, i), q_of(s, i), s->v + row(s, i),
                                      s->a + row(s, i)))
 
-enum { INVERSE, INVERSE_RNE, INVERSE_MUJOCO, INVERSE_CONTESTANTS };
+static kg_status run_inverse_many(void *state, double *answer)
+{
+  kernel *k = state;
+  const states *s = k->of;
+  kg_dynamics_inverse_many(k->dynamics, s->count, answer, s->q, s->v, s->a);
+  return KG_OK;
+}
+
+static kg_status run_inverse_lanes(void *state, double *answer)
+{
+  kernel *k = state;
+  for (int g = 0; g < k->of->count / 8; g++) {
+    const group at = group_of(k, g);
+    kg_dynamics_inverse_lanes(k->dynamics, at.out, at.q, at.v, at.a);
+  }
+  answer_from_lanes(k, answer);
+  return KG_OK;
+}
 
 #ifdef KG_BENCH_HAS_MUJOCO
 RUN(run_mujoco_rne,
@@ -241,21 +313,118 @@ RUN(run_mujoco_inverse, kg_mujoco_inverse(k->mujoco, answer + row(s, i), q_of(s,
                                           s->v + row(s, i), s->a + row(s, i)))
 #endif
 
-static const kg_bench_contestant inverses[INVERSE_CONTESTANTS] = {
-  [INVERSE] = {"kinegrad", NULL, 1, create, run_inverse, destroy},
-  [INVERSE_RNE] =
-    MUJOCO_CONTESTANT("MuJoCo, mj_rne path", 1, create_mujoco, run_mujoco_rne, destroy),
-  [INVERSE_MUJOCO] =
-    MUJOCO_CONTESTANT("MuJoCo, mj_inverse", 1, create_mujoco, run_mujoco_inverse, destroy),
+/* one state a call, many rows, many in lanes, MuJoCo's stages, MuJoCo's whole call */
+enum { ONE, MANY, LANES, STAGES, WHOLE, VECTOR_CONTESTANTS };
+
+static const kg_bench_contestant inverses[VECTOR_CONTESTANTS] = {
+  [ONE] = {"kinegrad", NULL, 1, create, run_inverse, destroy},
+  [MANY] = {"kinegrad, many", NULL, 1, create, run_inverse_many, destroy},
+  [LANES] = {"kinegrad, many in lanes", NULL, 1, create_lanes, run_inverse_lanes, destroy},
+  [STAGES] = MUJOCO_CONTESTANT("MuJoCo, mj_rne path", 1, create_mujoco, run_mujoco_rne, destroy),
+  [WHOLE] = MUJOCO_CONTESTANT("MuJoCo, mj_inverse", 1, create_mujoco, run_mujoco_inverse, destroy),
 };
 /* A pair of one with itself: microseconds a state. Absolute aims are for 23 joints. */
-#define INVERSE_PAIRS(us)                                                                          \
+#define VECTOR_PAIRS(us, one, batch)                                                               \
   {                                                                                                \
-    {"kinegrad, us", INVERSE, INVERSE, us}, {"kinegrad", INVERSE, INVERSE_RNE, 0.2},               \
-      {"kinegrad against mj_inverse", INVERSE, INVERSE_MUJOCO, 0.0},                               \
+    {"kinegrad, us", ONE, ONE, us}, {"kinegrad", ONE, STAGES, one},                                \
+      {"kinegrad many", MANY, STAGES, batch}, {"kinegrad in lanes", LANES, STAGES, batch},         \
+      {"against the whole call", ONE, WHOLE, 0.0},                                                 \
   }
-static const kg_bench_pair inverse_pairs_23[] = INVERSE_PAIRS(0.5);
-static const kg_bench_pair inverse_pairs_37[] = INVERSE_PAIRS(0.0);
+static const kg_bench_pair inverse_pairs_23[] = VECTOR_PAIRS(0.5, 0.2, 1.0 / 30.0);
+static const kg_bench_pair inverse_pairs_37[] = VECTOR_PAIRS(0.0, 0.2, 1.0 / 30.0);
+
+/* ---- forward dynamics ------------------------------------------------------------------------ */
+
+/* The numbers that are accelerations above serve as tau, in N m and N. */
+static kg_status forward_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  kg_status status = KG_OK;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    status = kg_bench_reference_forward(s->model.body, answer + row(s, i), q_of(s, i),
+                                        s->v + row(s, i), s->a + row(s, i));
+  }
+  return status;
+}
+
+RUN(run_forward, kg_dynamics_forward(k->dynamics, answer + row(s, i), q_of(s, i), s->v + row(s, i),
+                                     s->a + row(s, i)))
+
+static kg_status run_forward_many(void *state, double *answer)
+{
+  kernel *k = state;
+  const states *s = k->of;
+  kg_dynamics_forward_many(k->dynamics, s->count, answer, s->q, s->v, s->a);
+  return KG_OK;
+}
+
+static kg_status run_forward_lanes(void *state, double *answer)
+{
+  kernel *k = state;
+  for (int g = 0; g < k->of->count / 8; g++) {
+    const group at = group_of(k, g);
+    kg_dynamics_forward_lanes(k->dynamics, at.out, at.q, at.v, at.a);
+  }
+  answer_from_lanes(k, answer);
+  return KG_OK;
+}
+
+#ifdef KG_BENCH_HAS_MUJOCO
+RUN(run_mujoco_smooth, kg_mujoco_smooth_forward(k->mujoco, answer + row(s, i), q_of(s, i),
+                                                s->v + row(s, i), s->a + row(s, i)))
+RUN(run_mujoco_forward, kg_mujoco_forward(k->mujoco, answer + row(s, i), q_of(s, i),
+                                          s->v + row(s, i), s->a + row(s, i)))
+#endif
+
+static const kg_bench_contestant forwards[VECTOR_CONTESTANTS] = {
+  [ONE] = {"kinegrad", NULL, 1, create, run_forward, destroy},
+  [MANY] = {"kinegrad, many", NULL, 1, create, run_forward_many, destroy},
+  [LANES] = {"kinegrad, many in lanes", NULL, 1, create_lanes, run_forward_lanes, destroy},
+  [STAGES] =
+    MUJOCO_CONTESTANT("MuJoCo, smooth stages", 1, create_mujoco, run_mujoco_smooth, destroy),
+  [WHOLE] = MUJOCO_CONTESTANT("MuJoCo, mj_forward", 1, create_mujoco, run_mujoco_forward, destroy),
+};
+static const kg_bench_pair forward_pairs[] = VECTOR_PAIRS(0.0, 0.0, 0.0);
+
+/* ---- M^-1 x ---------------------------------------------------------------------------------- */
+
+static kg_status solve_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  const size_t nv = (size_t)s->model.body->nv;
+  double *M = malloc(nv * nv * sizeof *M);
+  kg_status status = M ? KG_OK : KG_ERR_NO_MEMORY;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    memcpy(answer + row(s, i), s->a + row(s, i), nv * sizeof *answer);
+    status = kg_bench_reference_mass(s->model.body, M, q_of(s, i));
+    if (status == KG_OK) {
+      status = kg_dense_cholesky_factor(M, (int)nv) ? KG_OK : KG_ERR_UNDEFINED;
+    }
+    if (status == KG_OK) {
+      kg_dense_cholesky_solve(M, (int)nv, answer + row(s, i), 1);
+    }
+  }
+  free(M);
+  return status;
+}
+
+static double *start_of_solve(const states *s, int i, double *answer)
+{
+  double *x = answer + row(s, i);
+  memcpy(x, s->a + row(s, i), (size_t)s->model.body->nv * sizeof *x);
+  return x;
+}
+
+RUN(run_solve, kg_dynamics_mass_solve(k->dynamics, start_of_solve(s, i, answer), q_of(s, i)))
+#ifdef KG_BENCH_HAS_MUJOCO
+RUN(run_mujoco_solve, kg_mujoco_mass_solve(k->mujoco, start_of_solve(s, i, answer), q_of(s, i)))
+#endif
+
+static const kg_bench_contestant solves[] = {
+  {"kinegrad", NULL, 1, create, run_solve, destroy},
+  MUJOCO_CONTESTANT("MuJoCo, mj_factorM path", 1, create_mujoco, run_mujoco_solve, destroy),
+};
+static const kg_bench_pair solve_pairs[] = {{"kinegrad", 0, 1, 0.0}};
 
 /* ---- mass matrix ----------------------------------------------------------------------------- */
 
@@ -317,6 +486,63 @@ static const kg_bench_contestant derivatives[] = {
 static const kg_bench_pair derivative_pairs_23[] = {{"kinegrad, us", 0, 0, 10.0}};
 static const kg_bench_pair derivative_pairs_37[] = {{"kinegrad, us", 0, 0, 0.0}};
 
+/* ---- derivatives of forward dynamics --------------------------------------------------------- */
+
+/* From those of inverse dynamics at a = FD: -M^-1 dID/dq, -M^-1 dID/dv, M^-1. */
+static kg_status forward_derivative_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  const int nv = s->model.body->nv;
+  const size_t square = (size_t)nv * (size_t)nv, all = (size_t)s->count * square;
+  double *a = malloc(((size_t)nv + 4 * square) * sizeof *a);
+  kg_status status = a ? KG_OK : KG_ERR_NO_MEMORY;
+  double *M = a + nv, *columns = M + square;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    const double *q = q_of(s, i), *v = s->v + row(s, i);
+    status = kg_bench_reference_forward(s->model.body, a, q, v, s->a + row(s, i));
+    if (status == KG_OK) {
+      status = kg_bench_reference_mass(s->model.body, M, q);
+    }
+    if (status == KG_OK) {
+      status = kg_bench_reference_derivatives(s->model.body, columns, columns + square, q, v, a);
+    }
+    if (status != KG_OK || !kg_dense_cholesky_factor(M, nv)) {
+      break;
+    }
+    for (int part = 0; part < 3; part++) { /* a column of the answer at a time, in a */
+      for (int c = 0; c < nv; c++) {
+        for (int r = 0; r < nv; r++) {
+          a[r] = part == 2 ? r == c : -columns[(size_t)part * square + (size_t)(r * nv + c)];
+        }
+        kg_dense_cholesky_solve(M, nv, a, 1);
+        for (int r = 0; r < nv; r++) {
+          answer[(size_t)part * all + (size_t)i * square + (size_t)(r * nv + c)] = a[r];
+        }
+      }
+    }
+  }
+  free(a);
+  return status;
+}
+
+static kg_status run_forward_derivatives(void *state, double *answer)
+{
+  kernel *k = state;
+  const states *s = k->of;
+  const size_t nv = (size_t)s->model.body->nv, all = (size_t)s->count * nv * nv;
+  for (int i = 0; i < s->count; i++) {
+    double *dq = answer + (size_t)i * nv * nv;
+    kg_dynamics_forward_derivatives(k->dynamics, dq, dq + all, dq + 2 * all, NULL, q_of(s, i),
+                                    s->v + row(s, i), s->a + row(s, i));
+  }
+  return KG_OK;
+}
+
+static const kg_bench_contestant forward_derivatives[] = {
+  {"kinegrad", NULL, 7, create, run_forward_derivatives, destroy},
+};
+static const kg_bench_pair forward_derivative_pairs[] = {{"kinegrad, us", 0, 0, 0.0}};
+
 /* ---- the cases ------------------------------------------------------------------------------- */
 
 /* clang-format off */
@@ -332,10 +558,18 @@ static const kg_bench_pair derivative_pairs_37[] = {{"kinegrad, us", 0, 0, 0.0}}
 const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES] = {
   CASE("rnea_23", &vectors_23, open_vectors, inverse_reference, inverses, inverse_pairs_23),
   CASE("rnea_37", &vectors_37, open_vectors, inverse_reference, inverses, inverse_pairs_37),
+  CASE("forward_23", &vectors_23, open_vectors, forward_reference, forwards, forward_pairs),
+  CASE("forward_37", &vectors_37, open_vectors, forward_reference, forwards, forward_pairs),
+  CASE("mass_solve_23", &vectors_23, open_vectors, solve_reference, solves, solve_pairs),
+  CASE("mass_solve_37", &vectors_37, open_vectors, solve_reference, solves, solve_pairs),
   CASE("mass_matrix_23", &matrices_23, open_matrix, mass_reference, masses, mass_pairs),
   CASE("mass_matrix_37", &matrices_37, open_matrix, mass_reference, masses, mass_pairs),
   CASE("rnea_derivatives_23", &matrices_23, open_derivatives, derivative_reference, derivatives,
        derivative_pairs_23),
   CASE("rnea_derivatives_37", &matrices_37, open_derivatives, derivative_reference, derivatives,
        derivative_pairs_37),
+  CASE("forward_derivatives_23", &matrices_23, open_derivatives, forward_derivative_reference,
+       forward_derivatives, forward_derivative_pairs),
+  CASE("forward_derivatives_37", &matrices_37, open_derivatives, forward_derivative_reference,
+       forward_derivatives, forward_derivative_pairs),
 };
