@@ -10,58 +10,11 @@
  * move while differentiating. [a] is the matrix of the cross product with a, R' the transpose. */
 #include "physics/kernels/kernels.h"
 #include "physics/physics.h"
-#include "physics/rows.h"
 #include "physics/tree.h"
 
 #include <string.h>
 
 /* ---- small matrices ---------------------------------------------------------------------------*/
-
-/* C += A' B */
-static inline void add_tmul(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
-{
-  const rows3 b = load_rows(B);
-  for (int i = 0; i < 3; i++) {
-    add_row(C->m + 3 * i, A->m[i], A->m[3 + i], A->m[6 + i], &b);
-  }
-}
-
-/* C += A B */
-static inline void add_mul(kg_mat3 *C, const kg_mat3 *A, const kg_mat3 *B)
-{
-  const rows3 b = load_rows(B);
-  for (int i = 0; i < 3; i++) {
-    add_row(C->m + 3 * i, A->m[3 * i], A->m[3 * i + 1], A->m[3 * i + 2], &b);
-  }
-}
-
-/* C += s [a] B: every column of B crossed from the left */
-static inline void add_cross(kg_mat3 *C, double s, kg_vec3 a, const kg_mat3 *B)
-{
-  a = kg_vec3_scale(s, a);
-  for (int j = 0; j < 3; j++) {
-    const double x = B->m[j], y = B->m[3 + j], z = B->m[6 + j];
-    C->m[j] += a.y * z - a.z * y;
-    C->m[3 + j] += a.z * x - a.x * z;
-    C->m[6 + j] += a.x * y - a.y * x;
-  }
-}
-
-/* C += s B */
-static inline void add_scaled(kg_mat3 *C, double s, const kg_mat3 *B)
-{
-  for (int k = 0; k < 9; k++) {
-    C->m[k] += s * B->m[k];
-  }
-}
-
-/* [a] B */
-static inline kg_mat3 cross(kg_vec3 a, const kg_mat3 *B)
-{
-  kg_mat3 C = {{0.0}};
-  add_cross(&C, 1.0, a, B);
-  return C;
-}
 
 static inline kg_mat3 symmetric(const double s[6])
 {
@@ -69,28 +22,10 @@ static inline kg_mat3 symmetric(const double s[6])
   return A;
 }
 
-static inline void set_symmetric(double s[6], const kg_mat3 *A)
-{
-  s[0] = A->m[0];
-  s[1] = A->m[4];
-  s[2] = A->m[8];
-  s[3] = A->m[1];
-  s[4] = A->m[2];
-  s[5] = A->m[5];
-}
-
 static inline kg_vec3 symmetric_mul(const double s[6], kg_vec3 a)
 {
   return kg_vec3_make(s[0] * a.x + s[3] * a.y + s[4] * a.z, s[3] * a.x + s[1] * a.y + s[5] * a.z,
                       s[4] * a.x + s[5] * a.y + s[2] * a.z);
-}
-
-/* m x S, column by column   [RBDA] (2.31) */
-static inline kg_mat63 motion_cross(kg_motion m, const kg_mat63 *S)
-{
-  kg_mat63 C = {cross(m.w, &S->w), cross(m.w, &S->v)};
-  add_cross(&C.v, 1.0, m.v, &S->w);
-  return C;
 }
 
 /* ---- object -----------------------------------------------------------------------------------*/
@@ -182,7 +117,9 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
     kg_arena_release(&arena);
     return KG_ERR_NO_MEMORY;
   }
-  made.S[0].v = kg_mat3_identity(); /* block 0 moves the root along the world's axes */
+  for (int k = 0; k < 3; k++) { /* block 0 moves the root along the world's axes */
+    made.S[0].v.m[5 * k] = 1.0;
+  }
   made.arena = arena;
   *d = made;
   copy_segments(d, body);
@@ -298,50 +235,6 @@ void kg_links_project(const kg_dynamics *d, double *tau)
 
 /* ---- composites and derivatives ---------------------------------------------------------------*/
 
-/* Velocity and acceleration of the segment as spatial vectors at O: of the body-fixed point at O. */
-static kg_motion spatial_velocity(const kg_link *l)
-{
-  const kg_motion m = {l->w, kg_vec3_add(l->p_dot, kg_vec3_cross(l->p, l->w))};
-  return m;
-}
-
-static kg_motion spatial_acceleration(const kg_link *l)
-{
-  const kg_vec3 turn = kg_vec3_sub(kg_vec3_cross(l->p, l->alpha), kg_vec3_cross(l->w, l->p_dot));
-  const kg_motion m = {l->alpha, kg_vec3_add(l->p_ddot, turn)};
-  return m;
-}
-
-/* (6) inertia about O in world axes */
-static kg_inertia world_inertia(const kg_link *l)
-{
-  const kg_mat3 inner = symmetric(l->inertia);
-  kg_mat3 I = kg_mat3_mul(kg_mat3_mul(l->R, inner), kg_mat3_transposed(l->R));
-  const kg_vec3 h = kg_vec3_scale(l->mass, l->c);
-  const double hc = kg_vec3_dot(h, l->c);
-  I = kg_mat3_add(I, kg_mat3_scale(-1.0, kg_mat3_outer(h, l->c)));
-  kg_inertia J = {.mass = l->mass, .h = h};
-  set_symmetric(J.I, &I);
-  for (int k = 0; k < 3; k++) {
-    J.I[k] += hc;
-  }
-  return J;
-}
-
-/* (12) Bs = [w] I + ([w] I)' - (v h' + h v' - 2 v.h 1) */
-static void coriolis_symmetric(double Bs[6], const kg_inertia *J, kg_motion m)
-{
-  const kg_mat3 I = symmetric(J->I);
-  const kg_mat3 WI = cross(m.w, &I);
-  const double vh = 2.0 * kg_vec3_dot(m.v, J->h);
-  Bs[0] = 2.0 * (WI.m[0] - m.v.x * J->h.x) + vh;
-  Bs[1] = 2.0 * (WI.m[4] - m.v.y * J->h.y) + vh;
-  Bs[2] = 2.0 * (WI.m[8] - m.v.z * J->h.z) + vh;
-  Bs[3] = WI.m[1] + WI.m[3] - (m.v.x * J->h.y + m.v.y * J->h.x);
-  Bs[4] = WI.m[2] + WI.m[6] - (m.v.x * J->h.z + m.v.z * J->h.x);
-  Bs[5] = WI.m[5] + WI.m[7] - (m.v.y * J->h.z + m.v.z * J->h.y);
-}
-
 void kg_tree_clear_external(kg_dynamics *d)
 {
   for (int b = 0; b <= d->n; b++) {
@@ -350,240 +243,47 @@ void kg_tree_clear_external(kg_dynamics *d)
   }
 }
 
-static void add_mat66(kg_mat66 *A, const kg_mat66 *B)
-{
-  add_scaled(&A->ww, 1.0, &B->ww);
-  add_scaled(&A->wv, 1.0, &B->wv);
-  add_scaled(&A->vw, 1.0, &B->vw);
-  add_scaled(&A->vv, 1.0, &B->vv);
-}
-
-static void add_composite(kg_composite *A, const kg_composite *B)
-{
-  kg_inertia_add(&A->I, &B->I);
-  for (int k = 0; k < 6; k++) {
-    A->Bs[k] += B->Bs[k];
-  }
-  A->momentum = kg_force_add(A->momentum, B->momentum);
-  A->inertial = kg_force_add(A->inertial, B->inertial);
-  if (!B->loaded) {
-    return;
-  }
-  A->external = kg_force_add(A->external, B->external);
-  if (A->loaded) {
-    add_mat66(&A->K, &B->K);
-    add_mat66(&A->D, &B->D);
-  } else {
-    A->loaded = true;
-    A->K = B->K;
-    A->D = B->D;
-  }
-}
-
-/* (7), (10): S and its rates for the block of link i */
-static void motion_subspace(kg_dynamics *d, int i)
-{
-  const kg_link *l = &d->links[i];
-  const int b = i + 1;
-  d->S[b].w = l->R;
-  d->S[b].v = cross(l->p, &l->R);
-  kg_motion v_up, a_up;
-  if (i > 0) {
-    v_up = spatial_velocity(&d->links[l->parent]);
-    a_up = spatial_acceleration(&d->links[l->parent]);
-  } else { /* block 0: a body without mass that only translates */
-    v_up = (kg_motion){{0.0, 0.0, 0.0}, l->p_dot};
-    a_up = (kg_motion){{0.0, 0.0, 0.0}, l->p_ddot};
-  }
-  d->psi[b] = motion_cross(v_up, &d->S[b]);
-  d->psi_dot[b] = motion_cross(a_up, &d->S[b]);
-  const kg_mat63 twice = motion_cross(v_up, &d->psi[b]);
-  add_scaled(&d->psi_dot[b].w, 1.0, &twice.w);
-  add_scaled(&d->psi_dot[b].v, 1.0, &twice.v);
-  d->S_dot[b] = motion_cross(spatial_velocity(l), &d->S[b]);
-}
-
 void kg_tree_prepare(kg_dynamics *d)
 {
-  for (int i = 0; i < d->n; i++) {
-    const kg_link *l = &d->links[i];
-    kg_composite *own = &d->sum[i + 1];
-    const kg_motion v = spatial_velocity(l);
-    motion_subspace(d, i);
-    own->I = world_inertia(l);
-    own->momentum = kg_inertia_mul(&own->I, v);
-    own->inertial = l->inertial;
-    coriolis_symmetric(own->Bs, &own->I, v);
-  }
-  for (int i = d->n - 1; i > 0; i--) {
-    add_composite(&d->sum[d->links[i].parent + 1], &d->sum[i + 1]);
-  }
-  d->sum[0] = d->sum[1];
+  d->kernels->prepare(d);
 }
 
-/* What a row of block b is made of: S_b' (d inertial - d external) = G' U + Q' W - E T - F U (15) */
-typedef struct row_factors {
-  kg_mat63 Q; /* I S                     */
-  kg_mat3 G;  /* (2 B)' S, angular rows  */
-  kg_mat63 E; /* (K - external x*)' S    */
-  kg_mat63 F; /* D' S                    */
-} row_factors;
-
-static kg_mat63 inertia_mul(const kg_inertia *J, const kg_mat63 *S)
+void kg_tree_pencil(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration)
 {
-  const kg_mat3 I = symmetric(J->I);
-  kg_mat63 Q = {{{0.0}}, kg_mat3_scale(J->mass, S->v)};
-  add_mul(&Q.w, &I, &S->w);
-  add_cross(&Q.w, 1.0, J->h, &S->v);
-  add_cross(&Q.v, -1.0, J->h, &S->w);
-  return Q;
-}
-
-static kg_mat63 mat66_tmul(const kg_mat66 *K, const kg_mat63 *S)
-{
-  kg_mat63 E = {{{0.0}}, {{0.0}}};
-  add_tmul(&E.w, &K->ww, &S->w);
-  add_tmul(&E.w, &K->vw, &S->v);
-  add_tmul(&E.v, &K->wv, &S->w);
-  add_tmul(&E.v, &K->vv, &S->v);
-  return E;
-}
-
-static void make_row(row_factors *row, const kg_composite *c, const kg_mat63 *S)
-{
-  const kg_mat3 Bs = symmetric(c->Bs);
-  row->Q = inertia_mul(&c->I, S);
-  row->G = cross(c->momentum.n, &S->w);
-  add_mul(&row->G, &Bs, &S->w);
-  add_cross(&row->G, 2.0, c->momentum.f, &S->v);
-  if (c->loaded) {
-    row->E = mat66_tmul(&c->K, S);
-    row->F = mat66_tmul(&c->D, S);
-    /* minus the transpose of T -> T x* external */
-    add_cross(&row->E.w, -1.0, c->external.n, &S->w);
-    add_cross(&row->E.w, -1.0, c->external.f, &S->v);
-    add_cross(&row->E.v, -1.0, c->external.f, &S->w);
-  }
-}
-
-/* A[b, a] for a on the path to b */
-static kg_mat3 row_block(const row_factors *row, bool loaded, const kg_pencil *a)
-{
-  kg_mat3 A = {{0.0}};
-  add_tmul(&A, &row->G, &a->U.w);
-  add_tmul(&A, &row->Q.w, &a->W.w);
-  add_tmul(&A, &row->Q.v, &a->W.v);
-  if (loaded) {
-    kg_mat3 C = {{0.0}};
-    add_tmul(&C, &row->E.w, &a->T.w);
-    add_tmul(&C, &row->E.v, &a->T.v);
-    add_tmul(&C, &row->F.w, &a->U.w);
-    add_tmul(&C, &row->F.v, &a->U.v);
-    add_scaled(&A, -1.0, &C);
-  }
-  return A;
-}
-
-static void mat66_subtract_mul(kg_mat63 *X, const kg_mat66 *K, const kg_mat63 *T)
-{
-  kg_mat63 E = {{{0.0}}, {{0.0}}};
-  add_mul(&E.w, &K->ww, &T->w);
-  add_mul(&E.w, &K->wv, &T->v);
-  add_mul(&E.v, &K->vw, &T->w);
-  add_mul(&E.v, &K->vv, &T->v);
-  add_scaled(&X->w, -1.0, &E.w);
-  add_scaled(&X->v, -1.0, &E.v);
-}
-
-/* (16) the forces on the subtree of b per unit of its own pencil, seen from an ancestor */
-static kg_mat63 column_force(const kg_composite *c, const kg_pencil *b)
-{
-  const kg_mat3 Bs = symmetric(c->Bs);
-  kg_mat63 X = inertia_mul(&c->I, &b->W);
-  add_mul(&X.w, &Bs, &b->U.w);
-  add_cross(&X.w, -1.0, c->momentum.n, &b->U.w);
-  add_cross(&X.v, -2.0, c->momentum.f, &b->U.w);
-  /* T x* inertial */
-  add_cross(&X.w, -1.0, c->inertial.n, &b->T.w);
-  add_cross(&X.w, -1.0, c->inertial.f, &b->T.v);
-  add_cross(&X.v, -1.0, c->inertial.f, &b->T.w);
-  if (c->loaded) {
-    mat66_subtract_mul(&X, &c->K, &b->T);
-    mat66_subtract_mul(&X, &c->D, &b->U);
-  }
-  return X;
+  d->kernels->pencil(d, b, E, rate, acceleration);
 }
 
 void kg_tree_jacobian(const kg_dynamics *d, kg_tree_matrix *A)
 {
-  const kg_tree *tree = &d->tree;
-  for (int b = 0; b < tree->blocks; b++) {
-    const kg_composite *c = &d->sum[b];
-    const int start = tree->start[b], depth = tree->depth[b];
-    row_factors row;
-    make_row(&row, c, &d->S[b]);
-    const kg_mat63 X = column_force(c, &d->pencil[b]);
-    for (int k = 0; k <= depth; k++) {
-      const kg_mat3 block = row_block(&row, c->loaded, &d->pencil[tree->path[start + k]]);
-      kg_tree_set_low(tree, A, b, k, &block);
-    }
-    for (int k = 0; k < depth; k++) {
-      const kg_mat63 *S = &d->S[tree->path[start + k]];
-      kg_mat3 block = {{0.0}};
-      add_tmul(&block, &S->w, &X.w);
-      add_tmul(&block, &S->v, &X.v);
-      kg_tree_set_up(tree, A, b, k, &block);
-    }
-  }
+  d->kernels->jacobian(d, A);
 }
 
-/* Sums of inertia over the subtrees, for the mass matrix alone. */
-static void composite_inertia(kg_dynamics *d)
+/* Momentum about O of the subtree of block b per unit of its velocity: I S. */
+static void subtree_momentum(const kg_dynamics *d, int b, kg_mat3 *n, kg_mat3 *f)
 {
-  for (int i = 0; i < d->n; i++) {
-    d->S[i + 1].w = d->links[i].R;
-    d->S[i + 1].v = cross(d->links[i].p, &d->links[i].R);
-    d->sum[i + 1].I = world_inertia(&d->links[i]);
-  }
-  for (int i = d->n - 1; i > 0; i--) {
-    kg_inertia_add(&d->sum[d->links[i].parent + 1].I, &d->sum[i + 1].I);
-  }
-  d->sum[0].I = d->sum[1].I;
-}
-
-/* (8) M_ba = S_b' I_b S_a for a on the path to b */
-static void mass_matrix(const kg_dynamics *d, kg_tree_matrix *A)
-{
-  const kg_tree *tree = &d->tree;
-  for (int b = 0; b < tree->blocks; b++) {
-    const kg_mat63 Q = inertia_mul(&d->sum[b].I, &d->S[b]);
-    for (int k = 0; k <= tree->depth[b]; k++) {
-      const kg_mat63 *S = &d->S[tree->path[tree->start[b] + k]];
-      kg_mat3 block = {{0.0}};
-      add_tmul(&block, &Q.w, &S->w);
-      add_tmul(&block, &Q.v, &S->v);
-      if (k == tree->depth[b]) { /* symmetric but for rounding */
-        block.m[3] = block.m[1];
-        block.m[6] = block.m[2];
-        block.m[7] = block.m[5];
-      }
-      const kg_mat3 mirrored = kg_mat3_transposed(block);
-      kg_tree_set_low(tree, A, b, k, &block);
-      kg_tree_set_up(tree, A, b, k, &mirrored);
-    }
+  for (int k = 0; k < 3; k++) {
+    const double *w = d->S[b].w.m + k, *v = d->S[b].v.m + k;
+    const kg_motion unit = {kg_vec3_make(w[0], w[4], w[8]), kg_vec3_make(v[0], v[4], v[8])};
+    const kg_force h = kg_inertia_mul(&d->sum[b].I, unit);
+    n->m[k] = h.n.x;
+    n->m[3 + k] = h.n.y;
+    n->m[6 + k] = h.n.z;
+    f->m[k] = h.f.x;
+    f->m[3 + k] = h.f.y;
+    f->m[6 + k] = h.f.z;
   }
 }
 
 void kg_links_mass_diagonal(kg_dynamics *d, double *diagonal)
 {
-  composite_inertia(d);
+  d->kernels->prepare_mass(d);
   for (int b = 0; b <= d->n; b++) {
-    const kg_mat63 *S = &d->S[b];
-    const kg_mat63 Q = inertia_mul(&d->sum[b].I, S);
+    kg_mat3 n, f;
+    subtree_momentum(d, b, &n, &f);
     for (int k = 0; k < 3; k++) {
       double sum = 0.0;
-      for (int r = k; r < 9; r += 3) {
-        sum += Q.w.m[r] * S->w.m[r] + Q.v.m[r] * S->v.m[r];
+      for (int r = 0; r < 3; r++) {
+        sum += n.m[3 * r + k] * d->S[b].w.m[4 * r + k] + f.m[3 * r + k] * d->S[b].v.m[4 * r + k];
       }
       diagonal[3 * b + k] = sum;
     }
@@ -781,8 +481,8 @@ void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const doub
 void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q)
 {
   kg_links_pose(dynamics, q);
-  composite_inertia(dynamics);
-  mass_matrix(dynamics, &dynamics->A);
+  dynamics->kernels->prepare_mass(dynamics);
+  dynamics->kernels->mass_matrix(dynamics, &dynamics->A);
   kg_tree_to_dense(&dynamics->tree, &dynamics->A, M);
 }
 
@@ -796,20 +496,17 @@ static void prepare_derivatives(kg_dynamics *d, const double *q, const double *v
 /* (13) */
 static void inverse_by_position(kg_dynamics *d, kg_tree_matrix *A)
 {
+  const kg_mat3 one = kg_mat3_identity();
   for (int b = 0; b <= d->n; b++) {
-    d->pencil[b] = (kg_pencil){d->S[b], d->psi[b], d->psi_dot[b]};
+    kg_tree_pencil(d, b, &one, 0.0, 0.0);
   }
   kg_tree_jacobian(d, A);
 }
 
 static void inverse_by_velocity(kg_dynamics *d, kg_tree_matrix *A)
 {
-  const kg_mat63 zero = {{{0.0}}, {{0.0}}};
   for (int b = 0; b <= d->n; b++) {
-    kg_mat63 W = d->psi[b];
-    add_scaled(&W.w, 1.0, &d->S_dot[b].w);
-    add_scaled(&W.v, 1.0, &d->S_dot[b].v);
-    d->pencil[b] = (kg_pencil){zero, d->S[b], W};
+    kg_tree_pencil(d, b, NULL, 1.0, 0.0);
   }
   kg_tree_jacobian(d, A);
 }
@@ -832,7 +529,7 @@ void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, dou
     kg_tree_to_dense(&d->tree, &d->A, dtau_dv);
   }
   if (M) {
-    mass_matrix(d, &d->A);
+    d->kernels->mass_matrix(d, &d->A);
     kg_tree_to_dense(&d->tree, &d->A, M);
   }
 }
@@ -860,7 +557,7 @@ void kg_dynamics_forward_derivatives(kg_dynamics *dynamics, double *da_dq, doubl
     memcpy(a, d->forward, (size_t)nv * sizeof *a);
   }
   prepare_derivatives(d, q, v, d->forward);
-  mass_matrix(d, &d->M);
+  d->kernels->mass_matrix(d, &d->M);
   const bool regular = kg_tree_factor(&d->tree, &d->M);
   if (da_dq) {
     inverse_by_position(d, &d->A);
@@ -888,17 +585,15 @@ kg_centroid kg_dynamics_centroid(kg_dynamics *dynamics, const double *q, const d
 {
   kg_dynamics *d = dynamics;
   kg_links_pose(d, q);
-  if (v) {
-    kg_links_velocity(d, v);
-  }
-  kg_inertia J = {.mass = 0.0};
+  d->kernels->prepare_mass(d);
+  const kg_inertia J = d->sum[0].I;
   kg_force momentum = {{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}}; /* about O */
-  for (int i = 0; i < d->n; i++) {
-    const kg_inertia own = world_inertia(&d->links[i]);
-    kg_inertia_add(&J, &own);
-    if (v) {
-      momentum = kg_force_add(momentum, kg_inertia_mul(&own, spatial_velocity(&d->links[i])));
-    }
+  for (int b = 0; b <= d->n && v; b++) {
+    kg_mat3 n, f;
+    subtree_momentum(d, b, &n, &f);
+    const kg_vec3 u = kg_load3(v + 3 * b);
+    momentum.n = kg_vec3_add(momentum.n, kg_mat3_mul_vec(n, u));
+    momentum.f = kg_vec3_add(momentum.f, kg_mat3_mul_vec(f, u));
   }
   kg_centroid out = {.mass = J.mass};
   const double per_mass = J.mass > 0.0 ? 1.0 / J.mass : 0.0;
@@ -919,15 +614,16 @@ void kg_dynamics_centroidal_matrix(kg_dynamics *dynamics, double *A, const doubl
   kg_dynamics *d = dynamics;
   const int nv = d->body->nv;
   kg_links_pose(d, q);
-  composite_inertia(d);
+  d->kernels->prepare_mass(d);
   const kg_inertia *whole = &d->sum[0].I;
   const kg_vec3 c = kg_vec3_scale(whole->mass > 0.0 ? 1.0 / whole->mass : 0.0, whole->h);
   for (int b = 0; b <= d->n; b++) {
-    kg_mat63 Q = inertia_mul(&d->sum[b].I, &d->S[b]); /* momentum about O per unit of v_b */
-    add_cross(&Q.w, -1.0, c, &Q.v);
+    kg_mat3 n, f;
+    subtree_momentum(d, b, &n, &f);
+    n = kg_mat3_add(n, kg_mat3_scale(-1.0, kg_mat3_mul(kg_mat3_skew(c), f)));
     for (int r = 0; r < 3; r++) {
-      memcpy(A + r * nv + 3 * b, Q.w.m + 3 * r, 3 * sizeof *A);
-      memcpy(A + (3 + r) * nv + 3 * b, Q.v.m + 3 * r, 3 * sizeof *A);
+      memcpy(A + r * nv + 3 * b, n.m + 3 * r, 3 * sizeof *A);
+      memcpy(A + (3 + r) * nv + 3 * b, f.m + 3 * r, 3 * sizeof *A);
     }
   }
 }
@@ -946,7 +642,7 @@ kg_vec3 kg_dynamics_point(kg_dynamics *dynamics, double *J, const double *q, kg_
       J[r * nv + r] = 1.0;
     }
     for (int i = point.segment; i >= 0; i = d->links[i].parent) { /* (9) */
-      const kg_mat3 B = cross(kg_vec3_sub(d->links[i].p, x), &d->links[i].R);
+      const kg_mat3 B = kg_mat3_mul(kg_mat3_skew(kg_vec3_sub(d->links[i].p, x)), d->links[i].R);
       for (int r = 0; r < 3; r++) {
         memcpy(J + r * nv + 3 + 3 * i, B.m + 3 * r, 3 * sizeof *J);
       }

@@ -6,7 +6,6 @@
 
 #include "physics/passive.h"
 #include "physics/physics.h"
-#include "physics/rows.h"
 
 #include <string.h>
 
@@ -206,24 +205,6 @@ void kg_step_project(kg_step *s, double *G)
   add_passive(s, G);
 }
 
-static kg_mat63 times(const kg_mat63 *A, const kg_mat3 *E)
-{
-  const rows3 e = load_rows(E);
-  kg_mat63 C = {{{0.0}}, {{0.0}}};
-  for (int i = 0; i < 9; i += 3) {
-    add_row(C.w.m + i, A->w.m[i], A->w.m[i + 1], A->w.m[i + 2], &e);
-    add_row(C.v.m + i, A->v.m[i], A->v.m[i + 1], A->v.m[i + 2], &e);
-  }
-  return C;
-}
-
-/* A += s B */
-static void add63(kg_mat63 *A, double s, const kg_mat63 *B)
-{
-  add_mat3(&A->w, s, B->w);
-  add_mat3(&A->v, s, B->v);
-}
-
 kg_mat3 kg_step_turn_by_rate(const kg_step *s, int b)
 {
   if (b == 0) return kg_mat3_scale(s->dt, kg_mat3_identity());
@@ -236,15 +217,8 @@ static void make_pencil(kg_step *s)
 {
   kg_dynamics *d = s->dynamics;
   for (int b = 0; b <= d->n; b++) {
-    kg_pencil *p = &d->pencil[b];
     const kg_mat3 E = kg_step_turn_by_rate(s, b);
-    p->T = times(&d->S[b], &E);
-    p->U = times(&d->psi[b], &E);
-    p->W = times(&d->psi_dot[b], &E);
-    add63(&p->U, 1.0, &d->S[b]);
-    add63(&p->W, 1.0, &d->psi[b]);
-    add63(&p->W, 1.0, &d->S_dot[b]);
-    add63(&p->W, 1.0 / s->dt, &d->S[b]);
+    kg_tree_pencil(d, b, &E, 1.0, 1.0 / s->dt);
   }
 }
 

@@ -66,9 +66,14 @@ void kg_tree_solve_transposed_many(const kg_tree *tree, const kg_tree_matrix *A,
 /* out[nv*nv] row-major, zeros outside the pattern. */
 void kg_tree_to_dense(const kg_tree *tree, const kg_tree_matrix *A, double *out);
 
+/* Three rows of three numbers, each followed by one of any value. */
+typedef struct kg_rows {
+  double m[12];
+} kg_rows;
+
 /* Six rows, three columns: the motion subspace of a ball joint and what is derived from it. */
 typedef struct kg_mat63 {
-  kg_mat3 w, v; /* angular rows, linear rows */
+  kg_rows w, v; /* angular rows, linear rows */
 } kg_mat63;
 
 /* General 6x6 in 3x3 blocks: [ww wv; vw vv]. */
@@ -122,7 +127,7 @@ struct kg_dynamics {
   kg_composite *sum; /* blocks */
   kg_pencil *pencil; /* blocks */
   kg_tree tree;
-  kg_chain chain;   /* motion and its adjoints, chain.h      */
+  kg_chain chain;      /* motion and its adjoints, chain.h      */
   kg_tree_matrix A, M; /* scratch of the public derivatives */
   double *forward;     /* nv: acceleration of the public derivatives of forward dynamics */
   const kg_physics_kernels *kernels;
@@ -143,6 +148,11 @@ void kg_links_project(const kg_dynamics *d, double *tau);
  * loaded of the sums must hold the segments' own values (kg_tree_clear_external for none). */
 void kg_tree_clear_external(kg_dynamics *d);
 void kg_tree_prepare(kg_dynamics *d);
+/* The pencil of block b, after kg_tree_prepare:
+ *   T = S E,  U = psi E + rate S,  W = psi_dot E + rate (psi + S_dot) + acceleration S
+ * for the pose moved by E per unit, the velocity of the block by rate, its acceleration by
+ * acceleration; E NULL: zero. */
+void kg_tree_pencil(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);
 /* A = S' (d inertial - d external) for the pencil of every block. */
 void kg_tree_jacobian(const kg_dynamics *d, kg_tree_matrix *A);
 /* diag(M) at the pose of the links. */

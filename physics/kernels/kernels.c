@@ -4,6 +4,7 @@
 #include "physics/kernels/rows.h"
 
 #include "physics/kernels/factor.inc"
+#include "physics/kernels/jacobian.inc"
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
 #if defined(__GNUC__)
@@ -22,6 +23,11 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .solve_transposed = solve_transposed,
   .solve_many = solve_many,
   .solve_transposed_many = solve_transposed_many,
+  .prepare = prepare,
+  .prepare_mass = prepare_mass,
+  .pencil = make_pencil,
+  .jacobian = jacobian,
+  .mass_matrix = mass_matrix,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,
 };

@@ -48,6 +48,11 @@ struct kg_physics_kernels {
   void (*solve_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns);
   void (*solve_transposed_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X,
                                 int columns);
+  void (*prepare)(kg_dynamics *d);
+  void (*prepare_mass)(kg_dynamics *d);
+  void (*pencil)(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);
+  void (*jacobian)(const kg_dynamics *d, kg_tree_matrix *A);
+  void (*mass_matrix)(const kg_dynamics *d, kg_tree_matrix *A);
   const kg_number_kernels *one;
   const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
 };

@@ -1,16 +1,25 @@
 /* Vectors of four and eight doubles for the kernels that work on matrices of the tree: loads and
- * stores at any address, and the few operations the kernels need. GCC and Clang make vector
- * instructions of them, split where the instruction set has narrower ones; the plain form gives the
- * same bits. */
+ * stores at any address, and the few operations the kernels need. Where the instruction set has
+ * narrower vectors they are made of halves (left to itself GCC 12 moves such vectors through memory);
+ * every form gives the same bits. */
 #ifndef PHYSICS_KERNELS_ROWS_H
 #define PHYSICS_KERNELS_ROWS_H
 
 #include <string.h>
 
-#if defined(__GNUC__)
+#if defined(__GNUC__) && defined(__AVX__)
 typedef double row4 __attribute__((vector_size(32)));
+#define KG_ROW4_IS_VECTOR
+#elif defined(__GNUC__)
+typedef double pair __attribute__((vector_size(16)));
+#endif
+#if defined(__GNUC__) && defined(__AVX512F__)
 typedef double row8 __attribute__((vector_size(64)));
-#define KG_ROW_OPERATIONS(type, count)                                                             \
+#define KG_ROW8_IS_VECTOR
+#endif
+
+/* A type that is one vector. */
+#define KG_VECTOR_OPERATIONS(type)                                                                 \
   static inline type type##_load(const double *p)                                                  \
   {                                                                                                \
     type r;                                                                                        \
@@ -37,36 +46,61 @@ typedef double row8 __attribute__((vector_size(64)));
   {                                                                                                \
     return s * b;                                                                                  \
   }
-#else
-typedef struct row4 {
-  double c[4];
-} row4;
-typedef struct row8 {
-  double c[8];
-} row8;
-#define KG_ROW_LOOP(type, count, expression)                                                       \
-  {                                                                                                \
-    type r;                                                                                        \
-    for (int k = 0; k < count; k++) {                                                              \
-      r.c[k] = expression;                                                                         \
-    }                                                                                              \
-    return r;                                                                                      \
-  }
-#define KG_ROW_OPERATIONS(type, count)                                                             \
+
+/* A type of two halves. */
+#define KG_HALVES_OPERATIONS(type, half)                                                           \
+  typedef struct type {                                                                            \
+    half a, b;                                                                                     \
+  } type;                                                                                          \
   static inline type type##_load(const double *p)                                                  \
-    KG_ROW_LOOP(type, count, p[k]) static inline void type##_store(double *p, type r)              \
   {                                                                                                \
-    memcpy(p, r.c, sizeof r.c);                                                                    \
+    return (type){half##_load(p), half##_load(p + sizeof(half) / sizeof(double))};                 \
   }                                                                                                \
-  static inline type type##_add(type a, type b) KG_ROW_LOOP(                                       \
-    type, count, a.c[k] + b.c[k]) static inline type type##_sub(type a, type b)                    \
-    KG_ROW_LOOP(type, count, a.c[k] - b.c[k]) static inline type type##_mul(type a, type b)        \
-      KG_ROW_LOOP(type, count, a.c[k] * b.c[k]) static inline type type##_scale(double s, type b)  \
-        KG_ROW_LOOP(type, count, s *b.c[k])
-#endif
+  static inline void type##_store(double *p, type r)                                               \
+  {                                                                                                \
+    half##_store(p, r.a);                                                                          \
+    half##_store(p + sizeof(half) / sizeof(double), r.b);                                          \
+  }                                                                                                \
+  static inline type type##_add(type x, type y)                                                    \
+  {                                                                                                \
+    return (type){half##_add(x.a, y.a), half##_add(x.b, y.b)};                                     \
+  }                                                                                                \
+  static inline type type##_sub(type x, type y)                                                    \
+  {                                                                                                \
+    return (type){half##_sub(x.a, y.a), half##_sub(x.b, y.b)};                                     \
+  }                                                                                                \
+  static inline type type##_mul(type x, type y)                                                    \
+  {                                                                                                \
+    return (type){half##_mul(x.a, y.a), half##_mul(x.b, y.b)};                                     \
+  }                                                                                                \
+  static inline type type##_scale(double s, type y)                                                \
+  {                                                                                                \
+    return (type){half##_scale(s, y.a), half##_scale(s, y.b)};                                     \
+  }
+
 /* clang-format off */
-KG_ROW_OPERATIONS(row4, 4)
-KG_ROW_OPERATIONS(row8, 8)
+#if !defined(__GNUC__)
+typedef double single;
+static inline single single_load(const double *p) { return *p; }
+static inline void single_store(double *p, single r) { *p = r; }
+static inline single single_add(single a, single b) { return a + b; }
+static inline single single_sub(single a, single b) { return a - b; }
+static inline single single_mul(single a, single b) { return a * b; }
+static inline single single_scale(double s, single b) { return s * b; }
+KG_HALVES_OPERATIONS(pair, single)
+#elif !defined(KG_ROW4_IS_VECTOR)
+KG_VECTOR_OPERATIONS(pair)
+#endif
+#ifdef KG_ROW4_IS_VECTOR
+KG_VECTOR_OPERATIONS(row4)
+#else
+KG_HALVES_OPERATIONS(row4, pair)
+#endif
+#ifdef KG_ROW8_IS_VECTOR
+KG_VECTOR_OPERATIONS(row8)
+#else
+KG_HALVES_OPERATIONS(row8, row4)
+#endif
 /* clang-format on */
 
 /* a0 r0 + a1 r1 + a2 r2 */
