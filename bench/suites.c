@@ -15,6 +15,7 @@ static const kg_bench_group dynamics[] = {
 
 static const kg_bench_group step[] = {
   {kg_bench_step_cases, BENCH_STEP_CASES},
+  {kg_bench_derivative_cases, BENCH_DERIVATIVE_CASES},
 };
 
 const kg_bench_suite kg_bench_suites[] = {

@@ -20,9 +20,10 @@
   }
 #endif
 
-enum { BENCH_KERNEL_CASES = 12, BENCH_STEP_CASES = 3 };
+enum { BENCH_KERNEL_CASES = 12, BENCH_STEP_CASES = 3, BENCH_DERIVATIVE_CASES = 3 };
 
 extern const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES];
 extern const kg_bench_case kg_bench_step_cases[BENCH_STEP_CASES];
+extern const kg_bench_case kg_bench_derivative_cases[BENCH_DERIVATIVE_CASES];
 
 #endif

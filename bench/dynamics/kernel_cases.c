@@ -488,40 +488,16 @@ static const kg_bench_pair derivative_pairs_37[] = {{"kinegrad, us", 0, 0, 0.0}}
 
 /* ---- derivatives of forward dynamics --------------------------------------------------------- */
 
-/* From those of inverse dynamics at a = FD: -M^-1 dID/dq, -M^-1 dID/dv, M^-1. */
 static kg_status forward_derivative_reference(const void *data, double *answer)
 {
   const states *s = data;
-  const int nv = s->model.body->nv;
-  const size_t square = (size_t)nv * (size_t)nv, all = (size_t)s->count * square;
-  double *a = malloc(((size_t)nv + 4 * square) * sizeof *a);
-  kg_status status = a ? KG_OK : KG_ERR_NO_MEMORY;
-  double *M = a + nv, *columns = M + square;
+  const size_t nv = (size_t)s->model.body->nv, all = (size_t)s->count * nv * nv;
+  kg_status status = KG_OK;
   for (int i = 0; i < s->count && status == KG_OK; i++) {
-    const double *q = q_of(s, i), *v = s->v + row(s, i);
-    status = kg_bench_reference_forward(s->model.body, a, q, v, s->a + row(s, i));
-    if (status == KG_OK) {
-      status = kg_bench_reference_mass(s->model.body, M, q);
-    }
-    if (status == KG_OK) {
-      status = kg_bench_reference_derivatives(s->model.body, columns, columns + square, q, v, a);
-    }
-    if (status != KG_OK || !kg_dense_cholesky_factor(M, nv)) {
-      break;
-    }
-    for (int part = 0; part < 3; part++) { /* a column of the answer at a time, in a */
-      for (int c = 0; c < nv; c++) {
-        for (int r = 0; r < nv; r++) {
-          a[r] = part == 2 ? r == c : -columns[(size_t)part * square + (size_t)(r * nv + c)];
-        }
-        kg_dense_cholesky_solve(M, nv, a, 1);
-        for (int r = 0; r < nv; r++) {
-          answer[(size_t)part * all + (size_t)i * square + (size_t)(r * nv + c)] = a[r];
-        }
-      }
-    }
+    double *dq = answer + (size_t)i * nv * nv;
+    status = kg_bench_reference_forward_derivatives(s->model.body, dq, dq + all, dq + 2 * all,
+                                                    q_of(s, i), s->v + row(s, i), s->a + row(s, i));
   }
-  free(a);
   return status;
 }
 

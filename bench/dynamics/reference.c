@@ -284,3 +284,49 @@ kg_status kg_bench_reference_derivatives(const kg_body *body, double *dtau_dq, d
   }
   return status;
 }
+
+/* out := M^-1 out, columns of a row-major matrix one by one; L the Cholesky factor */
+static void solve_columns(const double *L, double *out, int nv, double *column)
+{
+  for (int c = 0; c < nv; c++) {
+    for (int r = 0; r < nv; r++) {
+      column[r] = out[r * nv + c];
+    }
+    kg_dense_cholesky_solve(L, nv, column, 1);
+    for (int r = 0; r < nv; r++) {
+      out[r * nv + c] = column[r];
+    }
+  }
+}
+
+/* From those of inverse dynamics at a: -M^-1 dID/dq, -M^-1 dID/dv, M^-1. */
+kg_status kg_bench_reference_forward_derivatives(const kg_body *body, double *da_dq, double *da_dv,
+                                                 double *da_dtau, const double *q, const double *v,
+                                                 const double *tau)
+{
+  const int nv = body->nv;
+  const size_t square = (size_t)nv * (size_t)nv;
+  double *a = malloc((2 * (size_t)nv + square) * sizeof *a);
+  kg_status status = a ? kg_bench_reference_forward(body, a, q, v, tau) : KG_ERR_NO_MEMORY;
+  double *column = a + nv, *M = column + nv;
+  if (status == KG_OK) {
+    status = kg_bench_reference_mass(body, M, q);
+  }
+  if (status == KG_OK) {
+    status = kg_bench_reference_derivatives(body, da_dq, da_dv, q, v, a);
+  }
+  if (status == KG_OK) {
+    status = kg_dense_cholesky_factor(M, nv) ? KG_OK : KG_ERR_UNDEFINED;
+  }
+  for (size_t k = 0; k < square && status == KG_OK; k++) {
+    da_dq[k] = -da_dq[k];
+    da_dv[k] = -da_dv[k];
+    da_dtau[k] = k % ((size_t)nv + 1) == 0;
+  }
+  double *const all[3] = {da_dq, da_dv, da_dtau};
+  for (int part = 0; part < 3 && status == KG_OK; part++) {
+    solve_columns(M, all[part], nv, column);
+  }
+  free(a);
+  return status;
+}

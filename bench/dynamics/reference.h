@@ -19,5 +19,9 @@ kg_status kg_bench_reference_forward(const kg_body *body, double *a, const doubl
 /* dtau/dq in the tangent space (right perturbation), dtau/dv; nv*nv row-major. */
 kg_status kg_bench_reference_derivatives(const kg_body *body, double *dtau_dq, double *dtau_dv,
                                          const double *q, const double *v, const double *a);
+/* da/dq, da/dv, da/dtau at a = FD(q, v, tau); nv*nv row-major. */
+kg_status kg_bench_reference_forward_derivatives(const kg_body *body, double *da_dq, double *da_dv,
+                                                 double *da_dtau, const double *q, const double *v,
+                                                 const double *tau);
 
 #endif
