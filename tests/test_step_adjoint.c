@@ -166,11 +166,16 @@ static void solve_with_lapack(int n, const double *J, bool transposed, double *X
 
 /* dv'/dx = -(dG/dv')^-1 dG/dx, dq'/dx = E dv'/dx (+ D) */
 static reference *reference_of(const kg_step_def *def, const double *q, const double *v,
-                               const double *tau, double dt, const double *v_end)
+                               const double *tau, double dt, const double *v_end,
+                               const kg_sdf_shape *ball)
 {
   reference *r = calloc(1, sizeof *r);
   assert_non_null(r);
   r->at = complex_step_of(def, q, v, tau, dt, v_end);
+  if (ball) {
+    r->at.ball = ball->a;
+    r->at.radius = ball->radius;
+  }
   r->nv = def->body->nv;
   matrix_by(&r->at, r->at.v_end, r->nv, r->J);
   matrix_by(&r->at, r->at.turn, r->nv, r->dv[0]);
@@ -226,19 +231,38 @@ static kg_step_gradient arrays_of(gradient_arrays *a)
                                      .points = a->points}};
 }
 
-/* -lambda' dG/dx for numbers that lie `stride` complex numbers apart, in groups of `width` */
+/* Gradient by an array of numbers against -lambda' dG/dx; errors over the largest entry, or `least`. */
 static double compare_numbers(reference *r, const double *lambda, cplx *x, int count,
-                              const double *got)
+                              const double *got, double least)
 {
   double *A = malloc(sizeof(double) * (size_t)(count * r->nv));
   double *want = malloc(sizeof(double) * (size_t)count);
   assert_true(A && want);
   matrix_by(&r->at, x, count, A);
   transposed_product(A, r->nv, count, lambda, -1.0, want);
-  const double error = distance(got, want, count);
+  const double size = largest(want, count);
+  const double error = distance(got, want, count) * size / fmax(size, least);
   free(A);
   free(want);
   return error;
+}
+
+/* The six numbers of the contact law have different units: effects of a change in proportion, over those
+ * of the law's force F on the fastest rate. */
+static double compare_law(reference *r, const double *lambda, const double *got)
+{
+  double error = 0.0, size = creal(r->at.contact[1]) * largest(lambda, r->nv);
+  for (int k = 0; k < 6; k++) {
+    const double scale = creal(r->at.contact[k]);
+    double column[MAX_NV], want = 0.0;
+    column_by(&r->at, &r->at.contact[k], column);
+    for (int i = 0; i < r->nv; i++) {
+      want -= lambda[i] * column[i];
+      size = fmax(size, scale * fabs(lambda[i] * column[i]));
+    }
+    error = fmax(error, scale * fabs(got[k] - want));
+  }
+  return error / size;
 }
 
 /* By all parameters. Arrays of c3 and of six numbers are arrays of complex numbers. */
@@ -246,30 +270,22 @@ static double compare_parameters(reference *r, const double *lambda, const gradi
 {
   complex_step *s = &r->at;
   const int n = s->body.n;
-  double worst = compare_numbers(r, lambda, s->body.mass, n, got->mass);
-  worst = fmax(worst, compare_numbers(r, lambda, &s->body.com[0].x, 3 * n, got->com));
-  worst = fmax(worst, compare_numbers(r, lambda, s->body.inertia[0], 6 * n, got->inertia));
-  worst = fmax(worst, compare_numbers(r, lambda, &s->body.offset[0].x, 3 * n, got->offset));
-  worst = fmax(worst, compare_numbers(r, lambda, &s->joint_damping, 1, &got->joint_damping));
+  double worst = compare_numbers(r, lambda, s->body.mass, n, got->mass, 1e-300);
+  worst = fmax(worst, compare_numbers(r, lambda, &s->body.com[0].x, 3 * n, got->com, 1e-300));
+  worst = fmax(worst, compare_numbers(r, lambda, s->body.inertia[0], 6 * n, got->inertia, 1e-300));
+  worst = fmax(worst, compare_numbers(r, lambda, &s->body.offset[0].x, 3 * n, got->offset, 1e-300));
+  worst =
+    fmax(worst, compare_numbers(r, lambda, &s->joint_damping, 1, &got->joint_damping, 1e-300));
   if (largest(got->contact, 6) > 0.0) {
-    for (int k = 0; k < 6;
-         k++) { /* of very different sizes: one by one, against the largest effect */
-      const double scale = fabs(creal(s->contact[k]));
-      double column[MAX_NV], want = 0.0, parts = 0.0;
-      column_by(s, &s->contact[k], column);
-      for (int i = 0; i < r->nv; i++) {
-        want -= lambda[i] * column[i];
-        parts += fabs(lambda[i] * column[i]);
-      }
-      const double error = fabs(got->contact[k] - want) / fmax(parts, 1e-300);
-      worst = fmax(worst, parts * scale > 0.0 ? error : fabs(got->contact[k]));
-    }
+    worst = fmax(worst, compare_law(r, lambda, got->contact));
     const int count = 3 * s->body.point_count;
-    worst = fmax(worst, compare_numbers(r, lambda, &s->body.point[0].x, count, got->points));
+    worst =
+      fmax(worst, compare_numbers(r, lambda, &s->body.point[0].x, count, got->points,
+                                  creal(s->contact[1] / s->contact[0]) * largest(lambda, r->nv)));
   }
   for (int i = 1; i < n && s->has_passive; i++) {
-    worst =
-      fmax(worst, compare_numbers(r, lambda, &s->joint[i].stiffness, 3, got->passive + 3 * i));
+    worst = fmax(
+      worst, compare_numbers(r, lambda, &s->joint[i].stiffness, 3, got->passive + 3 * i, 1e-300));
   }
   return worst;
 }
@@ -285,12 +301,7 @@ static errors compare(kg_step *step, const kg_step_def *def, kg_random *random, 
 {
   static double A[6][MATRIX];
   const int nv = def->body->nv;
-  reference *r = reference_of(def, q, v, tau, dt, v_end);
-  if (ball) { /* the reference again, with the ball */
-    free(r);
-    r = calloc(1, sizeof *r);
-    assert_non_null(r);
-  }
+  reference *r = reference_of(def, q, v, tau, dt, v_end, ball);
   double q_bar[MAX_NV], v_bar[MAX_NV], want[MAX_NV], part[MAX_NV], lambda[MAX_NV];
   for (int k = 0; k < nv; k++) {
     q_bar[k] = kg_random_normal(random);
@@ -341,6 +352,23 @@ static errors compare(kg_step *step, const kg_step_def *def, kg_random *random, 
 
 /* ---- tests -------------------------------------------------------------------------------------*/
 
+static kg_step *create_step(const kg_step_def *def)
+{
+  kg_step *step = NULL;
+  assert_int_equal(kg_step_create(&step, def), KG_OK);
+  return step;
+}
+
+static void expect(const char *name, errors e)
+{
+  print_message("%-28s Jacobian %.1e adjoint %.1e parameters %.1e dot test %.1e\n", name,
+                e.jacobian, e.adjoint, e.parameters, e.dot);
+  assert_at_most(e.jacobian, 1e-9);
+  assert_at_most(e.adjoint, 1e-9);
+  assert_at_most(e.parameters, 1e-9);
+  assert_at_most(e.dot, 1e-12);
+}
+
 static const char *const names[KINDS] = {"flight", "standing", "sliding", "lying"};
 
 static void derivatives_equal_complex_steps(void **state)
@@ -368,22 +396,353 @@ static void derivatives_equal_complex_steps(void **state)
     kg_step_report report;
     kg_step_residual(step, tau, NULL, v_end, q, v, NULL, 0.01, &report);
     assert_true(kind == FLIGHT ? report.contact_count == 0 : report.contact_count > 3);
-    const errors e = compare(step, &def, &random, q, v, tau, 0.01, v_end, NULL);
-    print_message("%-8s Jacobian %.1e adjoint %.1e parameters %.1e dot test %.1e\n", names[kind],
-                  e.jacobian, e.adjoint, e.parameters, e.dot);
-    assert_at_most(e.jacobian, 1e-9);
-    assert_at_most(e.adjoint, 1e-9);
-    assert_at_most(e.parameters, 1e-9);
-    assert_at_most(e.dot, 1e-12);
+    expect(names[kind], compare(step, &def, &random, q, v, tau, 0.01, v_end, NULL));
     kg_step_destroy(step);
   }
   kg_body_destroy(body);
+}
+
+/* The human at rest, all sole nodes at the same distance with the same velocity: every contact is on a
+ * kink of the law at once, or one part in 1e14 to its sides. */
+static void derivatives_hold_at_kinks(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.contact.floor_share =
+    0.3; /* by default 58 MN/m there: rounding of the pose alone makes 6e-8 */
+  const kg_contact_params *law = &def.contact;
+  const struct {
+    const char *name;
+    double phi, slip, rise;
+  } rows[] = {{"stick to slip", 0.5 * law->layer, law->stick, 0.0},
+              {"touch-down", law->layer, 2e-4, -0.01},
+              {"floor of the law", law->floor_share * law->layer, 0.1, 0.0},
+              {"push to part", 0.5 * law->layer, 0.1, 0.9 / law->damping},
+              {"part to free", 0.5 * law->layer, 0.1, 1.1 / law->damping}};
+  const double side[3] = {-1e-14, 0.0, 1e-14};
+  kg_step *step = create_step(&def);
+  kg_random random = kg_random_make(8);
+  for (size_t k = 0; k < 3 * KG_COUNT_OF(rows); k++) {
+    const double near = 1.0 + side[k % 3], dt = 0.01;
+    double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], v_end[MAX_NV] = {0.0};
+    v_end[0] = rows[k / 3].slip * near;
+    v_end[1] = rows[k / 3].rise * near;
+    rest_state(body, human_root_height + rows[k / 3].phi * near - dt * v_end[1], q);
+    for (int c = 0; c < body->nv; c++) {
+      v[c] = v_end[c] + 0.01 * kg_random_normal(&random);
+    }
+    kg_step_residual(step, tau, NULL, v_end, q, v, NULL, dt, NULL);
+    expect(rows[k / 3].name, compare(step, &def, &random, q, v, tau, dt, v_end, NULL));
+  }
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+/* the answers of the solver itself, one foot on a ball: curved ground */
+static void derivatives_of_solved_steps(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.5, 0.05}, .radius = 0.5005};
+  assert_true(kg_scene_add(&scene, &ball));
+  kg_random random = kg_random_make(9);
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.joint_damping = 2.0;
+  kg_step *step = create_step(&def);
+  for (int trial = 0; trial < KINDS; trial++) {
+    double q[MAX_NQ], v[MAX_NV], tau[MAX_NV] = {0.0}, q_end[MAX_NQ], v_end[MAX_NV];
+    kg_step_report report;
+    human_state(&random, body, trial, q, v);
+    for (int k = 6; k < body->nv; k++) {
+      tau[k] = kg_random_normal(&random);
+    }
+    kg_step_advance(step, q_end, v_end, q, v, tau, 1.0 / 120.0, false, &report);
+    assert_true(report.converged && report.substeps == 1);
+    assert_true((report.contact_count > 0) == (trial != FLIGHT));
+    expect(names[trial], compare(step, &def, &random, q, v, tau, 1.0 / 120.0, v_end, &ball));
+  }
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+typedef struct trajectory {
+  kg_step *step;
+  const kg_body *body;
+  double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], dt;
+  double q_there[MAX_NQ]; /* where tangents of the end are taken */
+  double q_bar[MAX_NV], v_bar[MAX_NV];
+} trajectory;
+
+/* q_bar . (q' - q'_0) + v_bar . v' for the start moved by s d, v by s e, tau by s f */
+static double end_weighed(const trajectory *t, double s, const double *d)
+{
+  double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], moved[MAX_NV], q_end[MAX_NQ], v_end[MAX_NV];
+  const int nv = t->body->nv;
+  for (int k = 0; k < nv; k++) {
+    moved[k] = s * d[k];
+    v[k] = t->v[k] + s * d[nv + k];
+    tau[k] = t->tau[k] + s * d[2 * nv + k];
+  }
+  kg_step_report report;
+  kg_body_integrate(t->body, q, t->q, moved);
+  kg_step_advance(t->step, q_end, v_end, q, v, tau, t->dt, false, &report);
+  assert_true(report.converged && report.substeps == 1);
+  kg_body_difference(t->body, moved, q_end, t->q_there);
+  double sum = 0.0;
+  for (int k = 0; k < nv; k++) {
+    sum += t->q_bar[k] * moved[k] + t->v_bar[k] * v_end[k];
+  }
+  return sum;
+}
+
+/* Differences of the step as it is called, four sizes extrapolated: what users will try first. */
+static void gradient_equals_differences(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(10);
+  kg_body *body = random_tree(&random, 8, NULL);
+  kg_joint_passive passive[8];
+  random_passive(&random, 8, passive);
+  kg_step_def def = kg_step_default_def(body);
+  def.passive = passive;
+  def.tolerance = 1e-13;
+  def.max_substep_levels = 0;
+  static trajectory t;
+  t = (trajectory){.step = create_step(&def), .body = body, .dt = 0.01};
+  random_state(&random, body, t.q, t.v, t.tau);
+  double a[MAX_NV];
+  random_state(&random, body, t.q, t.v, a);
+  double d[3 * MAX_NV], v_end[MAX_NV], got[3][MAX_NV] = {{0.0}};
+  for (int k = 0; k < body->nv; k++) {
+    t.q_bar[k] = kg_random_normal(&random);
+    t.v_bar[k] = kg_random_normal(&random);
+  }
+  for (int k = 0; k < 3 * body->nv; k++) {
+    d[k] = kg_random_normal(&random);
+  }
+  kg_step_report report;
+  kg_step_advance(t.step, t.q_there, v_end, t.q, t.v, t.tau, t.dt, false, &report);
+  assert_true(report.residual < 1e-11);
+  const kg_step_gradient g = {.q = got[0], .v = got[1], .tau = got[2]};
+  assert_int_equal(kg_step_vjp(t.step, &g, t.q, t.v, t.tau, t.dt, v_end, 1, t.q_bar, t.v_bar),
+                   KG_OK);
+  double slope[4], want = 0.0;
+  for (int k = 0; k < 4; k++) {
+    const double h = 4e-3 / (1 << k);
+    slope[k] = (end_weighed(&t, h, d) - end_weighed(&t, -h, d)) / (2.0 * h);
+  }
+  for (int level = 1; level < 4; level++) { /* Richardson: errors in even powers of h */
+    for (int k = 3; k >= level; k--) {
+      slope[k] += (slope[k] - slope[k - 1]) / (pow(4.0, level) - 1.0);
+    }
+  }
+  for (int part = 0; part < 3; part++) {
+    for (int k = 0; k < body->nv; k++) {
+      want += got[part][k] * d[part * body->nv + k];
+    }
+  }
+  print_message("gradient along a direction %.15g, by differences %.15g\n", want, slope[3]);
+  assert_close(want, slope[3], 1e-9);
+  kg_step_destroy(t.step);
+  kg_body_destroy(body);
+}
+
+/* ---- sub-steps ---------------------------------------------------------------------------------*/
+
+/* Four steps one after the other, and the same as one step in four sub-steps. */
+static void substeps_are_gone_back_through(void **state)
+{
+  (void)state;
+  enum { PARTS = 4 };
+  static double q[PARTS + 1][MAX_NQ], v[PARTS + 1][MAX_NV];
+  static double A[6][MATRIX];
+  kg_body *body = human_body();
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *step = create_step(&def);
+  kg_random random = kg_random_make(11);
+  const int nv = body->nv;
+  const double dt = 0.01;
+  double tau[MAX_NV], q_bar[PARTS + 1][MAX_NV] = {{0.0}}, v_bar[PARTS + 1][MAX_NV] = {{0.0}};
+  human_state(&random, body, STANDING, q[0], v[0]);
+  for (int k = 0; k < nv; k++) {
+    tau[k] = k < 6 ? 0.0 : kg_random_normal(&random);
+    q_bar[PARTS][k] = kg_random_normal(&random);
+    v_bar[PARTS][k] = kg_random_normal(&random);
+  }
+  for (int k = 0; k < PARTS; k++) {
+    kg_step_report report;
+    kg_step_advance(step, q[k + 1], v[k + 1], q[k], v[k], tau, dt / PARTS, false, &report);
+    assert_true(report.converged && report.substeps == 1 && report.contact_count > 0);
+  }
+  static gradient_arrays want, got;
+  kg_step_gradient g = arrays_of(&want);
+  for (int k = PARTS - 1; k >= 0; k--) {
+    g.q = q_bar[k];
+    g.v = v_bar[k];
+    assert_int_equal(
+      kg_step_vjp(step, &g, q[k], v[k], tau, dt / PARTS, v[k + 1], 1, q_bar[k + 1], v_bar[k + 1]),
+      KG_OK);
+  }
+  g = arrays_of(&got);
+  assert_int_equal(
+    kg_step_vjp(step, &g, q[0], v[0], tau, dt, v[PARTS], PARTS, q_bar[PARTS], v_bar[PARTS]), KG_OK);
+  assert_true(distance(got.q, q_bar[0], nv) < 1e-13 && largest(got.q, nv) > 0.0);
+  assert_true(distance(got.v, v_bar[0], nv) < 1e-13);
+  assert_true(distance(got.tau, want.tau, nv) < 1e-13);
+  assert_true(distance(got.contact, want.contact, 6) < 1e-13 && largest(got.contact, 6) > 0.0);
+  assert_true(distance(got.mass, want.mass, body->segment_count) < 1e-13);
+  const kg_step_jacobian J = {A[0], A[1], A[2], A[3], A[4], A[5]};
+  assert_int_equal(kg_step_derivatives(step, &J, q[0], v[0], tau, dt, v[PARTS], PARTS), KG_OK);
+  double *const of[3] = {got.q, got.v, got.tau};
+  for (int k = 0; k < 3; k++) {
+    double by_v[MAX_NV], by_q[MAX_NV];
+    transposed_product(A[k], nv, nv, v_bar[PARTS], 1.0, by_v);
+    transposed_product(A[3 + k], nv, nv, q_bar[PARTS], 1.0, by_q);
+    for (int c = 0; c < nv; c++) {
+      by_v[c] += by_q[c];
+    }
+    assert_at_most(distance(by_v, of[k], nv), 1e-12);
+  }
+  /* a step that was not divided so is refused */
+  assert_int_equal(
+    kg_step_vjp(step, &g, q[0], v[0], tau, dt, v[PARTS], 1, q_bar[PARTS], v_bar[PARTS]),
+    KG_ERR_UNDEFINED);
+  assert_int_equal(
+    kg_step_vjp(step, &g, q[0], v[0], tau, dt, v[PARTS], 2, q_bar[PARTS], v_bar[PARTS]),
+    KG_ERR_UNDEFINED);
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+/* ---- refusals, memory --------------------------------------------------------------------------*/
+
+static void what_is_no_solution_is_refused(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_step_def def = kg_step_default_def(body);
+  kg_step *step = create_step(&def);
+  kg_random random = kg_random_make(12);
+  double q[MAX_NQ], v[MAX_NV], q_end[MAX_NQ], v_end[MAX_NV], bar[MAX_NV] = {1.0};
+  double tau[MAX_NV] = {0.0}, none[MAX_NV] = {0.0}, A[MATRIX];
+  human_state(&random, body, FLIGHT, q, v);
+  kg_step_advance(step, q_end, v_end, q, v, NULL, 0.01, false, NULL);
+  const kg_step_gradient g = {.tau = tau};
+  const kg_step_jacobian j = {.dv_dq = A};
+  assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, v_end, 1, bar, bar), KG_OK);
+  assert_true(tau[0] != 0.0);
+  const double wrong[2] = {v_end[7] + 1e-5, NAN};
+  for (int k = 0; k < 2; k++) {
+    memset(tau, 0, sizeof tau);
+    v_end[7] = wrong[k];
+    assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, v_end, 1, bar, bar), KG_ERR_UNDEFINED);
+    assert_int_equal(kg_step_derivatives(step, &j, q, v, NULL, 0.01, v_end, 1), KG_ERR_UNDEFINED);
+    assert_memory_equal(tau, none, sizeof tau);
+  }
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+static void nothing_is_allocated(void **state)
+{
+  (void)state;
+  static double A[6][MATRIX];
+  kg_body *body = human_body();
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  kg_joint_passive passive[HUMAN_SEGMENTS];
+  kg_random random = kg_random_make(13);
+  random_passive(&random, body->segment_count, passive);
+  failing_heap heap = {.calls_left = 1000};
+  const kg_allocator allocator = {failing_alloc, failing_free, &heap};
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.passive = passive;
+  def.allocator = &allocator;
+  kg_step *step = create_step(&def);
+  const int calls = heap.calls_left;
+  double q[MAX_NQ], v[MAX_NV], q_end[MAX_NQ], v_end[MAX_NV], bar[MAX_NV] = {1.0};
+  gradient_arrays arrays;
+  const kg_step_gradient g = arrays_of(&arrays);
+  const kg_step_jacobian j = {A[0], A[1], A[2], A[3], A[4], A[5]};
+  human_state(&random, body, LYING, q, v);
+  kg_step_report report;
+  kg_step_advance(step, q_end, v_end, q, v, NULL, 0.01, false, &report);
+  assert_true(report.converged);
+  const int parts = report.substeps;
+  assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, v_end, parts, bar, bar), KG_OK);
+  assert_int_equal(kg_step_derivatives(step, &j, q, v, NULL, 0.01, v_end, parts), KG_OK);
+  assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, q, 8, bar, bar), KG_ERR_UNDEFINED);
+  assert_int_equal(heap.calls_left, calls);
+  kg_step_destroy(step);
+  assert_int_equal(heap.live_bytes, 0);
+  kg_body_destroy(body);
+}
+
+/* ---- passive joints ----------------------------------------------------------------------------*/
+
+/* Two segments that do not move: G holds the torque of the joint alone. */
+static void passive_torque_is_the_slope_of_its_energy(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(14);
+  double worst = 0.0;
+  for (int trial = 0; trial < 60; trial++) {
+    kg_body *body = random_tree(&random, 2, NULL);
+    kg_joint_passive passive[2];
+    random_passive(&random, 2, passive);
+    kg_step_def def = kg_step_default_def(body);
+    def.gravity = kg_vec3_make(0.0, 0.0, 0.0);
+    def.passive = passive;
+    kg_step *step = create_step(&def);
+    double q[MAX_NQ], v[MAX_NV] = {0.0}, G[MAX_NV];
+    rest_state(body, 0.0, q);
+    /* from next to rest to nearly half a turn; every third across the series' end */
+    const double angle = trial % 3 == 0   ? 0.7 + 1e-3 * kg_random_normal(&random)
+                         : trial % 3 == 1 ? 1e-4
+                                          : 2.8 * kg_random_uniform(&random);
+    const kg_vec3 axis = kg_vec3_normalized(random_vec3(&random, 1.0));
+    const kg_quat at = kg_quat_mul(passive[1].rest, kg_quat_exp(kg_vec3_scale(angle, axis)));
+    memcpy(q + 7, &at, sizeof at);
+    kg_step_residual(step, G, NULL, v, q, v, NULL, 0.01, NULL);
+    for (int k = 0; k < 3; k++) {
+      double slope[2];
+      for (int level = 0; level < 2; level++) {
+        const double h = level == 0 ? 2e-4 : 1e-4;
+        kg_vec3 d = {k == 0 ? h : 0.0, k == 1 ? h : 0.0, k == 2 ? h : 0.0};
+        const double up = kg_joint_passive_energy(&passive[1], kg_quat_mul(at, kg_quat_exp(d)));
+        d = kg_vec3_scale(-1.0, d);
+        const double down = kg_joint_passive_energy(&passive[1], kg_quat_mul(at, kg_quat_exp(d)));
+        slope[level] = (up - down) / (2.0 * h);
+      }
+      const double want = slope[1] + (slope[1] - slope[0]) / 3.0;
+      const double size = 1.0 + fabs(G[6]) + fabs(G[7]) + fabs(G[8]);
+      worst = fmax(worst, fabs(G[6 + k] - want) / size);
+    }
+    kg_step_destroy(step);
+    kg_body_destroy(body);
+  }
+  print_message("passive torque against the slope of its energy: %.1e\n", worst);
+  assert_at_most(worst, 1e-8); /* a limit inside the difference costs third derivatives */
 }
 
 int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(derivatives_equal_complex_steps),
+    cmocka_unit_test(derivatives_hold_at_kinks),
+    cmocka_unit_test(derivatives_of_solved_steps),
+    cmocka_unit_test(gradient_equals_differences),
+    cmocka_unit_test(substeps_are_gone_back_through),
+    cmocka_unit_test(what_is_no_solution_is_refused),
+    cmocka_unit_test(nothing_is_allocated),
+    cmocka_unit_test(passive_torque_is_the_slope_of_its_energy),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }
