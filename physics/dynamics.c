@@ -105,12 +105,12 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   made.S = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
   made.psi = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
   made.psi_dot = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
-  made.S_dot = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
+  made.moved = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
   made.sum = KG_ARENA_ARRAY(&arena, kg_composite, n + 1);
   made.pencil = KG_ARENA_ARRAY(&arena, kg_pencil, n + 1);
   kg_tree_init(&made.tree, body, &arena);
-  kg_tree_matrix_init(&made.A, &made.tree, &arena);
   kg_chain_init(&made.chain, body, &arena);
+  kg_tree_matrix_init(&made.A, &made.tree, &arena);
   kg_tree_matrix_init(&made.M, &made.tree, &arena);
   made.forward = KG_ARENA_ARRAY(&arena, double, body->nv);
   if (kg_arena_failed(&arena)) {
@@ -482,8 +482,7 @@ void kg_dynamics_mass_matrix(kg_dynamics *dynamics, double *M, const double *q)
 {
   kg_links_pose(dynamics, q);
   dynamics->kernels->prepare_mass(dynamics);
-  dynamics->kernels->mass_matrix(dynamics, &dynamics->A);
-  kg_tree_to_dense(&dynamics->tree, &dynamics->A, M);
+  dynamics->kernels->dense_mass(dynamics, M);
 }
 
 static void prepare_derivatives(kg_dynamics *d, const double *q, const double *v, const double *a)
@@ -491,24 +490,6 @@ static void prepare_derivatives(kg_dynamics *d, const double *q, const double *v
   run_inverse(d, q, v, a);
   kg_tree_clear_external(d);
   kg_tree_prepare(d);
-}
-
-/* (13) */
-static void inverse_by_position(kg_dynamics *d, kg_tree_matrix *A)
-{
-  const kg_mat3 one = kg_mat3_identity();
-  for (int b = 0; b <= d->n; b++) {
-    kg_tree_pencil(d, b, &one, 0.0, 0.0);
-  }
-  kg_tree_jacobian(d, A);
-}
-
-static void inverse_by_velocity(kg_dynamics *d, kg_tree_matrix *A)
-{
-  for (int b = 0; b <= d->n; b++) {
-    kg_tree_pencil(d, b, NULL, 1.0, 0.0);
-  }
-  kg_tree_jacobian(d, A);
 }
 
 void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, double *dtau_dv,
@@ -520,25 +501,13 @@ void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, dou
     kg_dynamics_inverse(d, tau, q, v, a);
   }
   prepare_derivatives(d, q, v, a);
-  if (dtau_dq) {
-    inverse_by_position(d, &d->A);
-    kg_tree_to_dense(&d->tree, &d->A, dtau_dq);
-  }
-  if (dtau_dv) {
-    inverse_by_velocity(d, &d->A);
-    kg_tree_to_dense(&d->tree, &d->A, dtau_dv);
-  }
-  if (M) {
-    d->kernels->mass_matrix(d, &d->A);
-    kg_tree_to_dense(&d->tree, &d->A, M);
-  }
+  d->kernels->derivatives(d, dtau_dq, dtau_dv, M);
 }
 
-/* out = -M^-1 A for the factors of M */
+/* X := -M^-1 X with the factors of M */
 static void solve_negative(const kg_dynamics *d, double *out)
 {
   const int nv = d->body->nv;
-  kg_tree_to_dense(&d->tree, &d->A, out);
   for (int k = 0; k < nv * nv; k++) {
     out[k] = -out[k];
   }
@@ -559,12 +528,11 @@ void kg_dynamics_forward_derivatives(kg_dynamics *dynamics, double *da_dq, doubl
   prepare_derivatives(d, q, v, d->forward);
   d->kernels->mass_matrix(d, &d->M);
   const bool regular = kg_tree_factor(&d->tree, &d->M);
+  d->kernels->derivatives(d, da_dq, da_dv, NULL);
   if (da_dq) {
-    inverse_by_position(d, &d->A);
     solve_negative(d, da_dq);
   }
   if (da_dv) {
-    inverse_by_velocity(d, &d->A);
     solve_negative(d, da_dv);
   }
   if (da_dtau) {

@@ -123,12 +123,12 @@ struct kg_dynamics {
   kg_mat63 *S;       /* blocks */
   kg_mat63 *psi;     /* S moved with the parent: psi_dot of [SRW]   */
   kg_mat63 *psi_dot; /* psi_ddot of [SRW]                           */
-  kg_mat63 *S_dot;   /* S moved with the segment itself             */
+  kg_mat63 *moved;   /* psi + S moved with the segment itself       */
   kg_composite *sum; /* blocks */
   kg_pencil *pencil; /* blocks */
   kg_tree tree;
   kg_chain chain;      /* motion and its adjoints, chain.h      */
-  kg_tree_matrix A, M; /* scratch of the public derivatives */
+  kg_tree_matrix A, M; /* scratch of derivatives */
   double *forward;     /* nv: acceleration of the public derivatives of forward dynamics */
   const kg_physics_kernels *kernels;
   struct kg_model *model; /* for the recursive algorithms */
@@ -144,12 +144,12 @@ void kg_links_inertial(kg_dynamics *d);
 /* tau = S' (inertial - external), summed from the leaves to the root. */
 void kg_links_project(const kg_dynamics *d, double *tau);
 
-/* S, psi, psi_dot, S_dot and the sums over subtrees, after kg_links_inertial. K, D, external and
+/* S, psi, psi_dot, moved and the sums over subtrees, after kg_links_inertial. K, D, external and
  * loaded of the sums must hold the segments' own values (kg_tree_clear_external for none). */
 void kg_tree_clear_external(kg_dynamics *d);
 void kg_tree_prepare(kg_dynamics *d);
 /* The pencil of block b, after kg_tree_prepare:
- *   T = S E,  U = psi E + rate S,  W = psi_dot E + rate (psi + S_dot) + acceleration S
+ *   T = S E,  U = psi E + rate S,  W = psi_dot E + rate moved + acceleration S
  * for the pose moved by E per unit, the velocity of the block by rate, its acceleration by
  * acceleration; E NULL: zero. */
 void kg_tree_pencil(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);

@@ -342,8 +342,9 @@ static void derivatives_match_complex_steps(void **unused)
       for (int which = 0; which < 3; which++) {
         const double e =
           compare_columns(&c, body, kg_number_kernels_2_test.forward, &s, tau, which, D[which]);
-        /* the inertias of 1e-4 kg m^2 leave M a condition number of 1e6 */
-        assert_at_most(e, kind == MASSLESS ? 1e-11 : 1e-12);
+        /* rounding of dID grows by the condition number of M: large where links weigh nothing or
+         * a random tree has long chains */
+        assert_at_most(e, kind == MASSLESS || kind == THIRTY_SEVEN ? 1e-11 : 1e-12);
         worst[1] = fmax(worst[1], e);
       }
     }
@@ -476,6 +477,39 @@ static void eight_frames_equal_one_bit_for_bit(void **unused)
   }
 }
 
+/* Matrices of every instruction set, bit for bit. */
+static void matrices_do_not_depend_on_the_instruction_set(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(48);
+  static double D[2][6][BIG_NV * BIG_NV], M[BIG_NV * BIG_NV];
+  for (int kind = 0; kind < SHAPES; kind++) {
+    kg_body *body = body_of(kind, &random);
+    kg_dynamics *d = dynamics_of(body);
+    state s;
+    const size_t bytes = (size_t)(body->nv * body->nv) * sizeof(double);
+    random_state(&random, body, s.q, s.v, s.a);
+    for (int level = 1; level <= 3; level++) {
+      const int side = level > 1;
+      d->kernels = d->tree.kernels = kg_physics_kernels_of_level(level);
+      if (!d->kernels) {
+        print_message("no kernels of level %d here\n", level);
+        d->kernels = d->tree.kernels = kg_physics_kernels_of_level(1);
+        continue;
+      }
+      kg_dynamics_inverse_derivatives(d, D[side][0], D[side][1], D[side][2], NULL, s.q, s.v, s.a);
+      kg_dynamics_forward_derivatives(d, D[side][3], D[side][4], D[side][5], NULL, s.q, s.v, s.a);
+      for (int k = 0; k < 6 && side == 1; k++) {
+        assert_memory_equal(D[1][k], D[0][k], bytes);
+      }
+      kg_dynamics_mass_matrix(d, M, s.q);
+      assert_memory_equal(M, D[side][2], bytes);
+    }
+    kg_dynamics_destroy(d);
+    kg_body_destroy(body);
+  }
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -486,6 +520,7 @@ int main(void)
     cmocka_unit_test(derivatives_match_complex_steps),
     cmocka_unit_test(ball_joints_inside_the_tree_have_exact_derivatives),
     cmocka_unit_test(eight_frames_equal_one_bit_for_bit),
+    cmocka_unit_test(matrices_do_not_depend_on_the_instruction_set),
   };
   return cmocka_run_group_tests_name("dynamics_kernels", tests, NULL, NULL);
 }

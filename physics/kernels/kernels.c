@@ -28,6 +28,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .pencil = make_pencil,
   .jacobian = jacobian,
   .mass_matrix = mass_matrix,
+  .derivatives = derivatives,
+  .dense_mass = dense_mass,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,
 };

@@ -53,6 +53,9 @@ struct kg_physics_kernels {
   void (*pencil)(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);
   void (*jacobian)(const kg_dynamics *d, kg_tree_matrix *A);
   void (*mass_matrix)(const kg_dynamics *d, kg_tree_matrix *A);
+  /* dense nv x nv, each may be NULL */
+  void (*derivatives)(const kg_dynamics *d, double *by_q, double *by_v, double *by_a);
+  void (*dense_mass)(const kg_dynamics *d, double *M);
   const kg_number_kernels *one;
   const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
 };
