@@ -3,7 +3,6 @@
  * printed. */
 #include "fixture_body.h"
 
-#include "kinegrad/dense.h"
 #include "kinegrad/step.h"
 
 #include <stdio.h>
@@ -57,23 +56,8 @@ static kg_vec3 total_force(const kg_step_report *report)
   return sum;
 }
 
-/* M a = tau - ID(q, v, 0), densely. */
-static void accelerate(kg_dynamics *d, const kg_body *body, double *a, const double *q,
-                       const double *v, const double *tau)
-{
-  static double M[MAX_NV * MAX_NV];
-  const double zero[MAX_NV] = {0.0};
-  kg_dynamics_inverse(d, a, q, v, zero);
-  for (int k = 0; k < body->nv; k++) {
-    a[k] = (tau ? tau[k] : 0.0) - a[k];
-  }
-  kg_dynamics_mass_matrix(d, M, q);
-  assert_true(kg_dense_cholesky_factor(M, body->nv));
-  kg_dense_cholesky_solve(M, body->nv, a, 1);
-}
-
 /* Prints the error of each of a series of runs whose step halves, and the orders between them, which
- * must be one to a tenth. */
+ * must be one to a tenth, and the last to a hundredth: an error that does not go to zero shows. */
 static void assert_first_order(const char *what, const double *error, int count)
 {
   print_message("%s: errors", what);
@@ -86,7 +70,7 @@ static void assert_first_order(const char *what, const double *error, int count)
   }
   print_message("\n");
   for (int k = 1; k < count; k++) {
-    assert_at_most(fabs(log2(error[k - 1] / error[k]) - 1.0), 0.1);
+    assert_at_most(fabs(log2(error[k - 1] / error[k]) - 1.0), k + 1 < count ? 0.1 : 0.01);
   }
 }
 
@@ -232,10 +216,11 @@ static void free_top_precesses(void **state)
   kg_step *s = step_of(&def);
   kg_dynamics *d = dynamics_of(body);
   const kg_vec3 w = {0.9, 6.0, -0.5};
+  const double none[6] = {0.0};
   double q0[7], v0[6] = {0.0, 0.0, 0.0, w.x, w.y, w.z}, a[6], error[4];
   rest_state(body, 0.0, q0);
   kg_dynamics_set_gravity(d, kg_vec3_make(0.0, 0.0, 0.0));
-  accelerate(d, body, a, q0, v0, NULL);
+  kg_dynamics_forward(d, a, q0, v0, none);
   const double rate = (A - C) / A * w.y; /* Euler: A w_x' = (A - C) w_y w_z and so on */
   assert_close(a[3], -rate * w.z, 1e-12);
   assert_close(a[4], 0.0, 1e-12);
@@ -283,7 +268,7 @@ static void top_on_a_point_precesses(void **state)
   v0[6] = -p * sin(theta);
   v0[7] = w;
   tau[1] = body->segments[0].mass * g;
-  accelerate(d, body, acceleration, q0, v0, tau);
+  kg_dynamics_forward(d, acceleration, q0, v0, tau);
   /* in space the angular velocity turns about the vertical: its rate is p up x spin along the axis,
    * here p spin sin(theta) along -z, which the frame turned about z sees unchanged */
   assert_close(acceleration[6], 0.0, 1e-6 * p * spin);
@@ -419,7 +404,7 @@ static void double_pendulum_follows_the_textbook(void **state)
       rate[i] = 5.0 * kg_random_normal(&random);
     }
     pendulum_state(angle, rate, q, v);
-    accelerate(d, body, a, q, v, tau);
+    kg_dynamics_forward(d, a, q, v, tau);
     pendulum_accelerations(&rods, angle, rate, expected);
     worst = fmax(worst, fabs(a[8] - expected[0]) / (1.0 + fabs(expected[0])));
     worst = fmax(worst, fabs(a[8] + a[11] - expected[1]) / (1.0 + fabs(expected[1])));
@@ -714,7 +699,7 @@ static void dropped_rod_comes_to_rest(void **state)
   assert_at_most(f.gain, 1e-3 * f.start);
   assert_at_most(f.balance, 1e-9);
   assert_int_equal(f.touching, 4);
-  assert_close(q[1], height, 1e-6);
+  assert_close(q[1], height, 1e-9);
   assert_at_most(f.end_speed, 1e-5);
   const kg_vec3 side =
     kg_quat_rotate(kg_quat_make(q[3], q[4], q[5], q[6]), kg_vec3_make(1.0, 0.0, 0.0));
