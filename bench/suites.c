@@ -16,6 +16,7 @@ static const kg_bench_group dynamics[] = {
 static const kg_bench_group step[] = {
   {kg_bench_step_cases, BENCH_STEP_CASES},
   {kg_bench_derivative_cases, BENCH_DERIVATIVE_CASES},
+  {kg_bench_rollout_cases, BENCH_ROLLOUT_CASES},
 };
 
 const kg_bench_suite kg_bench_suites[] = {

@@ -20,10 +20,16 @@
   }
 #endif
 
-enum { BENCH_KERNEL_CASES = 12, BENCH_STEP_CASES = 3, BENCH_DERIVATIVE_CASES = 3 };
+enum {
+  BENCH_KERNEL_CASES = 12,
+  BENCH_STEP_CASES = 3,
+  BENCH_DERIVATIVE_CASES = 3,
+  BENCH_ROLLOUT_CASES = 1
+};
 
 extern const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES];
 extern const kg_bench_case kg_bench_step_cases[BENCH_STEP_CASES];
 extern const kg_bench_case kg_bench_derivative_cases[BENCH_DERIVATIVE_CASES];
+extern const kg_bench_case kg_bench_rollout_cases[BENCH_ROLLOUT_CASES];
 
 #endif
