@@ -120,6 +120,59 @@ static void jacobian_matches_differences(void **state)
   kg_body_destroy(body);
 }
 
+/* Central differences err with the square of their width until rounding takes over: four widths, each
+ * a quarter of the one before, along a random direction. The first is as large as kinks allow. */
+static void differences_of_four_widths_approach_the_jacobian(void **state)
+{
+  (void)state;
+  static const char *const names[4] = {"flight", "standing", "sliding", "lying"};
+  const double first[4] = {3e-2, 1e-5, 3e-4, 3e-4};
+  kg_random random = kg_random_make(38);
+  kg_body *body = human_body();
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  static double J[MAX_NV * MAX_NV];
+  const int nv = body->nv;
+  for (int kind = 0; kind < 4; kind++) {
+    double q[MAX_NQ], v[MAX_NV], x[MAX_NV], p[MAX_NV], G[2][MAX_NV], slope[MAX_NV] = {0.0};
+    human_state(&random, body, kind, q, v);
+    double length = 0.0, error[4];
+    for (int k = 0; k < nv; k++) {
+      p[k] = kg_random_normal(&random);
+      length += p[k] * p[k];
+    }
+    kg_step_residual(s, G[0], J, v, q, v, NULL, 0.01, NULL);
+    for (int k = 0; k < nv * nv; k++) {
+      slope[k / nv] += J[k] * p[k % nv] / sqrt(length);
+    }
+    print_message("%s: central differences", names[kind]);
+    for (int level = 0; level < 4; level++) {
+      const double h = ldexp(first[kind], -2 * level);
+      for (int side = 0; side < 2; side++) {
+        for (int k = 0; k < nv; k++) {
+          x[k] = v[k] + (side == 0 ? h : -h) * p[k] / sqrt(length);
+        }
+        kg_step_residual(s, G[side], NULL, x, q, v, NULL, 0.01, NULL);
+      }
+      for (int k = 0; k < nv; k++) {
+        G[0][k] = (G[0][k] - G[1][k]) / (2.0 * h) - slope[k];
+      }
+      error[level] = largest(G[0], nv) / largest(slope, nv);
+      print_message(" %.1e", error[level]);
+    }
+    print_message("\n");
+    for (int level = 1; level < 4; level++) { /* sixteen times less, or at what rounding leaves */
+      const double rounding = 1e-13 / ldexp(first[kind], -2 * level);
+      assert_at_most(error[level], error[level - 1] / 14.0 + rounding);
+    }
+    assert_at_most(error[3], 1e-7);
+  }
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
 /* ---- the answer against other solvers ---------------------------------------------------------*/
 
 typedef struct square_system {
@@ -593,6 +646,7 @@ int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(jacobian_matches_differences),
+    cmocka_unit_test(differences_of_four_widths_approach_the_jacobian),
     cmocka_unit_test(step_agrees_with_ceres_and_lapack),
     cmocka_unit_test(newton_converges_on_random_contact_states),
     cmocka_unit_test(contact_list_matches_brute_force),
