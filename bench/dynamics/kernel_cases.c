@@ -107,6 +107,34 @@ static kg_status open_matrix(kg_bench_problem *problem, const kg_bench_setting *
   return status;
 }
 
+/* all positions, then all rotations */
+static kg_status open_poses(kg_bench_problem *problem, const kg_bench_setting *setting,
+                            const void *detail, kg_error *error)
+{
+  const kg_status status = open(problem, setting, detail, error);
+  if (status == KG_OK) {
+    const states *s = problem->data;
+    const size_t n = (size_t)s->count * (size_t)s->model.body->segment_count;
+    problem->parts[0] = (kg_bench_part){"positions", 3 * n, 1};
+    problem->parts[1] = (kg_bench_part){"rotations", 9 * n, 1};
+    problem->part_count = 2;
+  }
+  return status;
+}
+
+static kg_status open_momenta(kg_bench_problem *problem, const kg_bench_setting *setting,
+                              const void *detail, kg_error *error)
+{
+  const kg_status status = open(problem, setting, detail, error);
+  if (status == KG_OK) {
+    const states *s = problem->data;
+    const size_t nv = (size_t)s->model.body->nv;
+    problem->parts[0] = (kg_bench_part){"centroidal matrix", 6 * (size_t)s->count * nv, 1};
+    problem->part_count = 1;
+  }
+  return status;
+}
+
 /* all derivatives by q, then all by v, then all by a or tau */
 static kg_status open_derivatives(kg_bench_problem *problem, const kg_bench_setting *setting,
                                   const void *detail, kg_error *error)
@@ -271,6 +299,66 @@ static size_t row(const states *s, int i)
     return KG_OK;                                                                                  \
   }
 
+/* ---- kinematics ------------------------------------------------------------------------------ */
+
+static double *positions(const states *s, int i, double *answer)
+{
+  return answer + 3 * (size_t)i * (size_t)s->model.body->segment_count;
+}
+
+static double *rotations(const states *s, int i, double *answer)
+{
+  return answer + (3 * (size_t)s->count + 9 * (size_t)i) * (size_t)s->model.body->segment_count;
+}
+
+static kg_status pose_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  kg_status status = KG_OK;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    status = kg_bench_reference_pose(s->model.body, positions(s, i, answer),
+                                     rotations(s, i, answer), q_of(s, i));
+  }
+  return status;
+}
+
+RUN(run_pose, kg_dynamics_pose(k->dynamics, q_of(s, i), (kg_vec3 *)positions(s, i, answer),
+                               (kg_mat3 *)rotations(s, i, answer)))
+#ifdef KG_BENCH_HAS_MUJOCO
+RUN(run_mujoco_pose,
+    kg_mujoco_pose(k->mujoco, positions(s, i, answer), rotations(s, i, answer), q_of(s, i)))
+#endif
+
+static const kg_bench_contestant poses[] = {
+  {"kinegrad", NULL, 3, create, run_pose, destroy},
+  MUJOCO_CONTESTANT("MuJoCo, mj_kinematics", 3, create_mujoco, run_mujoco_pose, destroy),
+};
+static const kg_bench_pair pose_pairs[] = {{"kinegrad", 0, 1, 0.0}};
+
+/* ---- momentum -------------------------------------------------------------------------------- */
+
+static double *centroidal(const states *s, int i, double *answer)
+{
+  return answer + 6 * row(s, i);
+}
+
+static kg_status momentum_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  kg_status status = KG_OK;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    status = kg_bench_reference_centroidal(s->model.body, centroidal(s, i, answer), q_of(s, i));
+  }
+  return status;
+}
+
+RUN(run_momentum, kg_dynamics_centroidal_matrix(k->dynamics, centroidal(s, i, answer), q_of(s, i)))
+
+static const kg_bench_contestant momenta[] = {
+  {"kinegrad", NULL, 1, create, run_momentum, destroy},
+};
+static const kg_bench_pair momentum_pairs[] = {{"kinegrad, us", 0, 0, 0.0}};
+
 /* ---- inverse dynamics ------------------------------------------------------------------------ */
 
 static kg_status inverse_reference(const void *data, double *answer)
@@ -324,10 +412,11 @@ static const kg_bench_contestant inverses[VECTOR_CONTESTANTS] = {
   [WHOLE] = MUJOCO_CONTESTANT("MuJoCo, mj_inverse", 1, create_mujoco, run_mujoco_inverse, destroy),
 };
 /* A pair of one with itself: microseconds a state. Absolute aims are for 23 joints. */
+/* batch: of the form in lanes; "many" pays for turning rows into lanes and back */
 #define VECTOR_PAIRS(us, one, batch)                                                               \
   {                                                                                                \
     {"kinegrad, us", ONE, ONE, us}, {"kinegrad", ONE, STAGES, one},                                \
-      {"kinegrad many", MANY, STAGES, batch}, {"kinegrad in lanes", LANES, STAGES, batch},         \
+      {"kinegrad many", MANY, STAGES, 0.0}, {"kinegrad in lanes", LANES, STAGES, batch},           \
       {"against the whole call", ONE, WHOLE, 0.0},                                                 \
   }
 static const kg_bench_pair inverse_pairs_23[] = VECTOR_PAIRS(0.5, 0.2, 1.0 / 30.0);
@@ -532,6 +621,8 @@ static const kg_bench_pair forward_derivative_pairs[] = {{"kinegrad, us", 0, 0, 
 /* clang-format on */
 
 const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES] = {
+  CASE("kinematics_23", &vectors_23, open_poses, pose_reference, poses, pose_pairs),
+  CASE("kinematics_37", &vectors_37, open_poses, pose_reference, poses, pose_pairs),
   CASE("rnea_23", &vectors_23, open_vectors, inverse_reference, inverses, inverse_pairs_23),
   CASE("rnea_37", &vectors_37, open_vectors, inverse_reference, inverses, inverse_pairs_37),
   CASE("forward_23", &vectors_23, open_vectors, forward_reference, forwards, forward_pairs),
@@ -540,6 +631,8 @@ const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES] = {
   CASE("mass_solve_37", &vectors_37, open_vectors, solve_reference, solves, solve_pairs),
   CASE("mass_matrix_23", &matrices_23, open_matrix, mass_reference, masses, mass_pairs),
   CASE("mass_matrix_37", &matrices_37, open_matrix, mass_reference, masses, mass_pairs),
+  CASE("centroidal_23", &vectors_23, open_momenta, momentum_reference, momenta, momentum_pairs),
+  CASE("centroidal_37", &vectors_37, open_momenta, momentum_reference, momenta, momentum_pairs),
   CASE("rnea_derivatives_23", &matrices_23, open_derivatives, derivative_reference, derivatives,
        derivative_pairs_23),
   CASE("rnea_derivatives_37", &matrices_37, open_derivatives, derivative_reference, derivatives,

@@ -126,6 +126,18 @@ static void load(link *l, const kg_segment *s, double gravity)
   rotate(l->n, l->R, n);
 }
 
+/* All segments' motion and what they need, g = gravity. */
+static void move_all(link *links, const kg_body *body, const number *q, const number *v,
+                     const number *a, double gravity)
+{
+  for (int i = 0; i < body->segment_count; i++) {
+    const kg_segment *s = &body->segments[i];
+    links[i] = (link){.w = {0.0}};
+    move(&links[i], s->parent < 0 ? NULL : &links[s->parent], s, i, q, v, a);
+    load(&links[i], s, gravity);
+  }
+}
+
 static kg_status inverse(const kg_body *body, number *tau, const number *q, const number *v,
                          const number *a, double gravity)
 {
@@ -134,10 +146,8 @@ static kg_status inverse(const kg_body *body, number *tau, const number *q, cons
     return KG_ERR_NO_MEMORY;
   }
   memset(tau, 0, (size_t)body->nv * sizeof *tau);
+  move_all(links, body, q, v, a, gravity);
   for (int i = 0; i < body->segment_count; i++) {
-    const kg_segment *s = &body->segments[i];
-    move(&links[i], s->parent < 0 ? NULL : &links[s->parent], s, i, q, v, a);
-    load(&links[i], s, gravity);
     for (int j = i; j >= 0; j = body->segments[j].parent) {
       number arm[3], n[3];
       for (int k = 0; k < 3; k++) {
@@ -185,6 +195,67 @@ static bool take(arguments *x, const kg_body *body, const double *q, const doubl
     x->a[k] = a ? a[k] : 0.0;
   }
   return true;
+}
+
+kg_status kg_bench_reference_pose(const kg_body *body, double *p, double *R, const double *q)
+{
+  arguments x;
+  link *links = calloc((size_t)body->segment_count, sizeof *links);
+  if (!links || !take(&x, body, q, NULL, NULL)) {
+    free(links);
+    return KG_ERR_NO_MEMORY;
+  }
+  move_all(links, body, x.q, x.v, x.a, 0.0);
+  for (int i = 0; i < body->segment_count; i++) {
+    for (int k = 0; k < 9; k++) {
+      R[9 * i + k] = creal(links[i].R[k / 3][k % 3]);
+      p[3 * i + k / 3] = creal(links[i].p[k / 3]);
+    }
+  }
+  free(links);
+  free(x.q);
+  return KG_OK;
+}
+
+/* Column c of A from the motion at rest with acceleration e_c, whose forces are then momenta. */
+static void momentum_column(double *A, int c, const kg_body *body, const link *links)
+{
+  number sum[6] = {0.0}, com[3] = {0.0};
+  for (int i = 0; i < body->segment_count; i++) {
+    for (int k = 0; k < 3; k++) {
+      com[k] += body->segments[i].mass / body->mass * links[i].c[k];
+    }
+  }
+  for (int i = 0; i < body->segment_count; i++) {
+    const number arm[3] = {links[i].c[0] - com[0], links[i].c[1] - com[1], links[i].c[2] - com[2]};
+    for (int k = 0; k < 3; k++) {
+      sum[k] += links[i].n[k];
+      sum[3 + k] += links[i].f[k];
+    }
+    add_cross(sum, arm, links[i].f);
+  }
+  for (int k = 0; k < 6; k++) {
+    A[k * body->nv + c] = creal(sum[k]);
+  }
+}
+
+kg_status kg_bench_reference_centroidal(const kg_body *body, double *A, const double *q)
+{
+  arguments x;
+  link *links = calloc((size_t)body->segment_count, sizeof *links);
+  if (!links || !take(&x, body, q, NULL, NULL)) {
+    free(links);
+    return KG_ERR_NO_MEMORY;
+  }
+  for (int c = 0; c < body->nv; c++) {
+    x.a[c] = 1.0;
+    move_all(links, body, x.q, x.v, x.a, 0.0);
+    momentum_column(A, c, body, links);
+    x.a[c] = 0.0;
+  }
+  free(links);
+  free(x.q);
+  return KG_OK;
 }
 
 kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const double *q,

@@ -8,6 +8,10 @@
 /* Gravity of all comparisons, m/s^2 along -Y. */
 static const double kg_bench_gravity = 9.8;
 
+/* Positions of the joints, 3 n, and rotations of the segments, row-major, 9 n. */
+kg_status kg_bench_reference_pose(const kg_body *body, double *p, double *R, const double *q);
+/* A (6 x nv): angular momentum about the centre of mass and linear momentum are A v. */
+kg_status kg_bench_reference_centroidal(const kg_body *body, double *A, const double *q);
 /* tau[nv] = ID(q, v, a) */
 kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const double *q,
                                      const double *v, const double *a);
