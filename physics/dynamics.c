@@ -53,10 +53,15 @@ static void copy_model(kg_model *model, const kg_body *body)
   }
 }
 
+static size_t larger(size_t a, size_t b)
+{
+  return a > b ? a : b;
+}
+
 static size_t scratch_of(const kg_physics_kernels *kernels)
 {
-  const size_t one = kernels->one->scratch;
-  return kernels->eight && kernels->eight->scratch > one ? kernels->eight->scratch : one;
+  const size_t plain = larger(kernels->one->scratch, kernels->link_scratch);
+  return kernels->eight ? larger(kernels->eight->scratch, plain) : plain;
 }
 
 static kg_model *create_model(const kg_body *body, const kg_physics_kernels *kernels,
@@ -175,41 +180,9 @@ void kg_links_velocity(kg_dynamics *d, const double *v)
   }
 }
 
-/* (3); the root is accelerated by -gravity in place of weights on every segment */
-void kg_links_acceleration(kg_dynamics *d, const double *v, const double *a)
+void kg_links_move(kg_dynamics *d, const double *q, const double *v, const double *a)
 {
-  for (int i = 0; i < d->n; i++) {
-    kg_link *l = &d->links[i];
-    l->alpha = kg_mat3_mul_vec(l->R, kg_load3(a + 3 + 3 * i));
-    l->p_ddot = kg_vec3_sub(kg_load3(a), d->gravity);
-    if (i > 0) {
-      const kg_link *up = &d->links[l->parent];
-      const kg_vec3 arm = kg_vec3_sub(l->p, up->p);
-      const kg_vec3 relative = kg_mat3_mul_vec(l->R, kg_load3(v + 3 + 3 * i));
-      l->alpha = kg_vec3_add(l->alpha, kg_vec3_add(up->alpha, kg_vec3_cross(up->w, relative)));
-      l->p_ddot =
-        kg_vec3_add(up->p_ddot, kg_vec3_add(kg_vec3_cross(up->alpha, arm),
-                                            kg_vec3_cross(up->w, kg_vec3_cross(up->w, arm))));
-    }
-  }
-}
-
-/* (4) Newton for the centre of mass, Euler in the segment's own axes, moment moved to O */
-void kg_links_inertial(kg_dynamics *d)
-{
-  for (int i = 0; i < d->n; i++) {
-    kg_link *l = &d->links[i];
-    const kg_vec3 arm = kg_vec3_sub(l->c, l->p);
-    const kg_vec3 c_ddot =
-      kg_vec3_add(l->p_ddot, kg_vec3_add(kg_vec3_cross(l->alpha, arm),
-                                         kg_vec3_cross(l->w, kg_vec3_cross(l->w, arm))));
-    const kg_vec3 w = kg_mat3_mul_vec_t(l->R, l->w);
-    const kg_vec3 alpha = kg_mat3_mul_vec_t(l->R, l->alpha);
-    const kg_vec3 euler =
-      kg_vec3_add(symmetric_mul(l->inertia, alpha), kg_vec3_cross(w, symmetric_mul(l->inertia, w)));
-    l->inertial.f = kg_vec3_scale(l->mass, c_ddot);
-    l->inertial.n = kg_vec3_add(kg_mat3_mul_vec(l->R, euler), kg_vec3_cross(l->c, l->inertial.f));
-  }
+  d->kernels->move(d, q, v, a);
 }
 
 /* (5) tau_i = R_i' (n_i - p_i x f_i) of the forces summed over the subtree; f at the root */
@@ -331,10 +304,7 @@ static void clear_link_external(kg_dynamics *d)
 
 static void run_inverse(kg_dynamics *d, const double *q, const double *v, const double *a)
 {
-  kg_links_pose(d, q);
-  kg_links_velocity(d, v);
-  kg_links_acceleration(d, v, a);
-  kg_links_inertial(d);
+  kg_links_move(d, q, v, a);
   clear_link_external(d);
 }
 
@@ -465,9 +435,7 @@ void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const doub
                               const double *a, kg_vec3 *p_ddot, kg_vec3 *alpha)
 {
   kg_dynamics *d = dynamics;
-  kg_links_pose(d, q);
-  kg_links_velocity(d, v);
-  kg_links_acceleration(d, v, a);
+  kg_links_move(d, q, v, a);
   for (int i = 0; i < d->n; i++) {
     if (p_ddot) {
       p_ddot[i] = kg_vec3_add(d->links[i].p_ddot, d->gravity);

@@ -171,10 +171,7 @@ bool kg_step_evaluate(double *G, const double *v_end, void *user)
   }
   s->evaluated = true;
   kg_body_integrate(body, s->q_end, s->q, G);
-  kg_links_pose(d, s->q_end);
-  kg_links_velocity(d, v_end);
-  kg_links_acceleration(d, v_end, s->a);
-  kg_links_inertial(d);
+  kg_links_move(d, s->q_end, v_end, s->a);
   collide(s);
   kg_step_project(s, G);
   return true;

@@ -139,12 +139,12 @@ struct kg_dynamics {
 /* Stages of inverse dynamics; each uses what the ones before it left in links. */
 void kg_links_pose(kg_dynamics *d, const double *q);
 void kg_links_velocity(kg_dynamics *d, const double *v);
-void kg_links_acceleration(kg_dynamics *d, const double *v, const double *a);
-void kg_links_inertial(kg_dynamics *d);
+/* Both, the acceleration and the rate of momentum, (1) to (4). */
+void kg_links_move(kg_dynamics *d, const double *q, const double *v, const double *a);
 /* tau = S' (inertial - external), summed from the leaves to the root. */
 void kg_links_project(const kg_dynamics *d, double *tau);
 
-/* S, psi, psi_dot, moved and the sums over subtrees, after kg_links_inertial. K, D, external and
+/* S, psi, psi_dot, moved and the sums over subtrees, after kg_links_move. K, D, external and
  * loaded of the sums must hold the segments' own values (kg_tree_clear_external for none). */
 void kg_tree_clear_external(kg_dynamics *d);
 void kg_tree_prepare(kg_dynamics *d);

@@ -5,6 +5,7 @@
 
 #include "physics/kernels/factor.inc"
 #include "physics/kernels/jacobian.inc"
+#include "physics/kernels/links.inc"
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
 #if defined(__GNUC__)
@@ -23,6 +24,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .solve_transposed = solve_transposed,
   .solve_many = solve_many,
   .solve_transposed_many = solve_transposed_many,
+  .link_scratch = sizeof(link_rows),
+  .move = move_links,
   .prepare = prepare,
   .prepare_mass = prepare_mass,
   .pencil = make_pencil,

@@ -48,6 +48,8 @@ struct kg_physics_kernels {
   void (*solve_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns);
   void (*solve_transposed_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X,
                                 int columns);
+  size_t link_scratch; /* bytes of model->scratch for each link */
+  void (*move)(kg_dynamics *d, const double *q, const double *v, const double *a);
   void (*prepare)(kg_dynamics *d);
   void (*prepare_mass)(kg_dynamics *d);
   void (*pencil)(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);

@@ -103,6 +103,35 @@ KG_HALVES_OPERATIONS(row8, row4)
 #endif
 /* clang-format on */
 
+/* (y, z, x) and the fourth number */
+static inline row4 row4_turn(row4 a)
+{
+#ifdef KG_ROW4_IS_VECTOR
+  return __builtin_shufflevector(a, a, 1, 2, 0, 3);
+#elif defined(__GNUC__)
+  return (row4){__builtin_shufflevector(a.a, a.b, 1, 2), __builtin_shufflevector(a.a, a.b, 0, 3)};
+#else
+  return (row4){{a.a.b, a.b.a}, {a.a.a, a.b.b}};
+#endif
+}
+
+/* The first three numbers alone. */
+static inline void row4_store3(double *p, row4 a)
+{
+#ifdef KG_ROW4_IS_VECTOR
+  typedef double pair __attribute__((vector_size(16)));
+  const pair two = __builtin_shufflevector(a, a, 0, 1);
+  memcpy(p, &two, sizeof two);
+  p[2] = a[2];
+#elif defined(__GNUC__)
+  pair_store(p, a.a);
+  p[2] = a.b[0];
+#else
+  pair_store(p, a.a);
+  p[2] = a.b.a;
+#endif
+}
+
 /* a0 r0 + a1 r1 + a2 r2 */
 static inline row4 row4_combine(double a0, row4 r0, double a1, row4 r1, double a2, row4 r2)
 {
