@@ -55,11 +55,30 @@ static void exp_and_log_are_inverse_at_all_sizes(void **state)
 {
   (void)state;
   kg_random random = kg_random_make(1);
-  const double sizes[] = {1e-12, 1e-6, 0.9e-4, 1.1e-4, 1e-3, 0.5, 2.0, 3.14};
+  const double sizes[] = {1e-12, 1e-6, 0.9e-4, 1.1e-4, 1e-3, 0.5, 0.9999, 1.0001, 2.0, 3.14};
   for (size_t i = 0; i < KG_COUNT_OF(sizes); i++) {
     const kg_vec3 r = kg_vec3_scale(sizes[i], kg_vec3_normalized(random_vec3(&random, 1.0)));
     const kg_vec3 back = kg_quat_log(kg_quat_exp(r));
     assert_at_most(kg_vec3_norm(kg_vec3_sub(back, r)), 4e-15 * fmax(sizes[i], 0.1));
+  }
+}
+
+/* Against long double, on both sides of where the series end. */
+static void exponential_and_right_jacobian_are_right_to_rounding(void **state)
+{
+  (void)state;
+  const double sizes[] = {1e-3, 0.1, 0.4999, 0.5001, 0.9999, 1.0001, 3.0};
+  for (size_t i = 0; i < KG_COUNT_OF(sizes); i++) {
+    const double a = sizes[i];
+    const long double angle = a;
+    const kg_quat q = kg_quat_exp(kg_vec3_make(0.0, a, 0.0));
+    assert_close(q.w, (double)cosl(0.5L * angle), 3e-16);
+    assert_close(q.y, (double)sinl(0.5L * angle), 3e-16);
+    /* about y: Jr maps x to (sin a / a) x and (1 - cos a) / a z */
+    const kg_mat3 Jr = kg_so3_right_jacobian(kg_vec3_make(0.0, a, 0.0));
+    assert_close(Jr.m[0], (double)(sinl(angle) / angle), 4e-16);
+    const long double s = sinl(0.5L * angle);
+    assert_close(Jr.m[6], (double)(2.0L * s * s / angle), 4e-16);
   }
 }
 
@@ -139,6 +158,7 @@ int main(void)
     cmocka_unit_test(arena_memory_is_zeroed_aligned_and_separate),
     cmocka_unit_test(arena_reports_every_refused_allocation),
     cmocka_unit_test(exp_and_log_are_inverse_at_all_sizes),
+    cmocka_unit_test(exponential_and_right_jacobian_are_right_to_rounding),
     cmocka_unit_test(matrix_and_quaternion_rotate_alike),
     cmocka_unit_test(right_jacobian_matches_differences),
     cmocka_unit_test(random_numbers_have_their_moments_and_repeat),
