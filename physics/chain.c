@@ -56,6 +56,7 @@ void kg_chain_init(kg_chain *chain, const kg_body *body, kg_arena *arena)
 {
   *chain = (kg_chain){.body = body, .n = body->segment_count};
   chain->links = KG_ARENA_ARRAY(arena, kg_chain_link, chain->n);
+  chain->nu = KG_ARENA_ARRAY(arena, double, body->nv);
 }
 
 /* ---- from the root to the leaves ---------------------------------------------------------------*/
@@ -204,23 +205,58 @@ void kg_chain_inertial(kg_chain *chain, const kg_body_gradient *body_bar)
 }
 
 /* (A5) x = p + R s, u = R (v + w x s), xi = R (pi + mu x s) */
-void kg_chain_point(kg_chain *chain, int i, kg_vec3 s, kg_vec3 x_bar, kg_vec3 u_bar, kg_vec3 xi_bar,
-                    double *s_bar)
+void kg_chain_point(kg_chain *chain, int i, kg_vec3 s, const kg_vec3 *x_bar, const kg_vec3 *u_bar,
+                    const kg_vec3 *xi_bar, double *s_bar)
 {
   kg_chain_link *l = &chain->links[i];
   kg_chain_adjoint *bar = &l->bar;
-  const kg_vec3 x = kg_mat3_mul_vec_t(l->R, x_bar);
-  const kg_vec3 u = kg_mat3_mul_vec_t(l->R, u_bar);
-  const kg_vec3 xi = kg_mat3_mul_vec_t(l->R, xi_bar);
-  gain(&bar->turn, cross(s, x));
-  gain(&bar->turn, cross(plus(l->v, cross(l->w, s)), u));
-  gain(&bar->turn, cross(plus(l->pi, cross(l->mu, s)), xi));
-  gain(&bar->p, x);
-  gain(&bar->v, u);
-  gain(&bar->w, cross(s, u));
-  gain(&bar->pi, xi);
-  gain(&bar->mu, cross(s, xi));
-  gain_at(s_bar, 0, plus(x, plus(cross(u, l->w), cross(xi, l->mu))));
+  if (x_bar) {
+    const kg_vec3 x = kg_mat3_mul_vec_t(l->R, *x_bar);
+    gain(&bar->turn, cross(s, x));
+    gain(&bar->p, x);
+    gain_at(s_bar, 0, x);
+  }
+  if (u_bar) {
+    const kg_vec3 u = kg_mat3_mul_vec_t(l->R, *u_bar);
+    gain(&bar->turn, cross(plus(l->v, cross(l->w, s)), u));
+    gain(&bar->v, u);
+    gain(&bar->w, cross(s, u));
+    gain_at(s_bar, 0, cross(u, l->w));
+  }
+  if (xi_bar) {
+    const kg_vec3 xi = kg_mat3_mul_vec_t(l->R, *xi_bar);
+    gain(&bar->turn, cross(plus(l->pi, cross(l->mu, s)), xi));
+    gain(&bar->pi, xi);
+    gain(&bar->mu, cross(s, xi));
+    gain_at(s_bar, 0, cross(xi, l->mu));
+  }
+}
+
+void kg_chain_joint(kg_chain *chain, int i, const kg_vec3 *p_bar, const kg_vec3 *v_bar,
+                    const kg_vec3 *a_bar)
+{
+  kg_chain_link *l = &chain->links[i];
+  if (p_bar) {
+    gain(&l->bar.p, kg_mat3_mul_vec_t(l->R, *p_bar));
+  }
+  if (v_bar) {
+    const kg_vec3 v = kg_mat3_mul_vec_t(l->R, *v_bar);
+    gain(&l->bar.v, v);
+    gain(&l->bar.turn, cross(l->v, v));
+  }
+  if (a_bar) {
+    const kg_vec3 a = kg_mat3_mul_vec_t(l->R, *a_bar);
+    gain(&l->bar.a, a);
+    gain(&l->bar.turn, cross(l->a, a));
+  }
+}
+
+void kg_chain_force(kg_chain *chain, int i, kg_vec3 s, kg_vec3 f)
+{
+  kg_chain_link *l = &chain->links[i];
+  const kg_vec3 own = kg_mat3_mul_vec_t(l->R, f);
+  gain(&l->bar.pi, own);
+  gain(&l->bar.mu, cross(s, own));
 }
 
 /* ---- from the leaves to the root ---------------------------------------------------------------*/

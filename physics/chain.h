@@ -44,6 +44,7 @@ typedef struct kg_chain {
   const kg_body *body;
   int n;
   kg_chain_link *links;
+  double *nu; /* nv */
 } kg_chain;
 
 /* Memory from the arena; check kg_arena_failed afterwards. */
@@ -59,10 +60,16 @@ void kg_chain_clear(kg_chain *chain);
 /* The rates of momentum: phi += lambda' ID, for POSE-free parts ACCELERATION and FIELD. Adds the
  * gradient by masses, centres of mass and inertias where wanted. */
 void kg_chain_inertial(kg_chain *chain, const kg_body_gradient *body_bar);
-/* A point s of segment i with the world adjoints x_bar of its place, u_bar of its velocity, xi_bar of
- * its velocity in the field; needs all parts but ACCELERATION. Adds to s_bar where wanted. */
-void kg_chain_point(kg_chain *chain, int i, kg_vec3 s, kg_vec3 x_bar, kg_vec3 u_bar, kg_vec3 xi_bar,
-                    double *s_bar);
+/* A point s of segment i with the world adjoints of its place (needs POSE), its velocity (POSE,
+ * VELOCITY) and its velocity in the field (POSE, FIELD); NULL: none. Adds to s_bar where wanted. */
+void kg_chain_point(kg_chain *chain, int i, kg_vec3 s, const kg_vec3 *x_bar, const kg_vec3 *u_bar,
+                    const kg_vec3 *xi_bar, double *s_bar);
+/* The world adjoints of place, velocity and acceleration of joint i; NULL: none. A place needs POSE, a
+ * velocity VELOCITY besides, an acceleration POSE and ACCELERATION with no gravity. */
+void kg_chain_joint(kg_chain *chain, int i, const kg_vec3 *p_bar, const kg_vec3 *v_bar,
+                    const kg_vec3 *a_bar);
+/* A force f (world) on the point s of segment i: phi += lambda' J' f for lambda_bar alone. */
+void kg_chain_force(kg_chain *chain, int i, kg_vec3 s, kg_vec3 f);
 
 /* From the leaves to the root. NULL: not wanted. Results are added. */
 typedef struct kg_chain_gradient {

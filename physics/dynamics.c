@@ -93,6 +93,12 @@ static void copy_segments(kg_dynamics *d, const kg_body *body)
   }
 }
 
+void kg_dynamics_refresh(kg_dynamics *dynamics)
+{
+  copy_model(dynamics->model, dynamics->body);
+  copy_segments(dynamics, dynamics->body);
+}
+
 kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
                              const kg_allocator *allocator)
 {

@@ -50,9 +50,10 @@ static void return_contacts(kg_step *s, const kg_step_gradient *g)
     const kg_chain_link *l = &chain->links[point->segment];
     const kg_vec3 xi = kg_mat3_mul_vec(l->R, kg_vec3_add(l->pi, kg_vec3_cross(l->mu, point->p)));
     const kg_vec3 u = kg_mat3_mul_vec(l->R, kg_vec3_add(l->v, kg_vec3_cross(l->w, point->p)));
-    const kg_vec3 f_bar = kg_vec3_scale(-1.0, xi);
-    kg_chain_point(chain, point->segment, point->p, kg_mat3_mul_vec_t(c->force.df_dx, f_bar),
-                   kg_mat3_mul_vec_t(c->force.df_du, f_bar), kg_vec3_scale(-1.0, c->force.f),
+    const kg_vec3 f_bar = kg_vec3_scale(-1.0, xi), xi_bar = kg_vec3_scale(-1.0, c->force.f);
+    const kg_vec3 x_bar = kg_mat3_mul_vec_t(c->force.df_dx, f_bar);
+    const kg_vec3 u_bar = kg_mat3_mul_vec_t(c->force.df_du, f_bar);
+    kg_chain_point(chain, point->segment, point->p, &x_bar, &u_bar, &xi_bar,
                    g->body.points ? g->body.points + 3 * c->point : NULL);
     if (g->contact) {
       kg_contact_params_vjp(&s->contact, &c->force, u, f_bar, g->contact);

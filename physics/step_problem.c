@@ -49,6 +49,18 @@ void kg_step_group_points(kg_step *s)
   }
 }
 
+void kg_step_set_contact(kg_step *step, const kg_contact_params *contact)
+{
+  step->def.contact = step->contact = *contact;
+  step->evaluated = false;
+}
+
+void kg_step_refresh(kg_step *step)
+{
+  kg_dynamics_refresh(step->dynamics);
+  step->evaluated = false;
+}
+
 /* ---- contact ----------------------------------------------------------------------------------*/
 
 static void collide_group(kg_step *s, int i)

@@ -22,6 +22,8 @@ typedef struct kg_dynamics kg_dynamics;
 KG_API KG_MUST_USE kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
                                                 const kg_allocator *allocator);
 KG_API void kg_dynamics_destroy(kg_dynamics *dynamics);
+/* Call it after masses, inertias, centres of mass or offsets of the body have changed. */
+KG_API void kg_dynamics_refresh(kg_dynamics *dynamics);
 /* default (0, -9.8, 0) m/s^2 */
 KG_API void kg_dynamics_set_gravity(kg_dynamics *dynamics, kg_vec3 gravity);
 
@@ -95,6 +97,38 @@ KG_API void kg_dynamics_inverse_vjp(kg_dynamics *dynamics, double *q_bar, double
 KG_API void kg_dynamics_forward_derivatives(kg_dynamics *dynamics, double *da_dq, double *da_dv,
                                             double *da_dtau, double *a, const double *q,
                                             const double *v, const double *tau);
+
+/* Gradient of a_bar . a for a = FD(q, v, tau), which is given: adds to the others. One solve with M
+ * and one adjoint of inverse dynamics. */
+KG_API void kg_dynamics_forward_vjp(kg_dynamics *dynamics, double *q_bar, double *v_bar,
+                                    double *tau_bar, const double *q, const double *v,
+                                    const double *a, const double *a_bar);
+
+/* World adjoints, one for each joint, of its place, velocity and acceleration
+ * (kg_dynamics_pose, _velocity, _acceleration): adds the gradient to q_bar (tangent space), v_bar,
+ * a_bar [nv] and offset_bar[3 n]. NULL: not wanted, or no such adjoint; v and a may be NULL where
+ * no adjoint needs them. */
+KG_API void kg_dynamics_motion_vjp(kg_dynamics *dynamics, double *q_bar, double *v_bar,
+                                   double *a_bar, double *offset_bar, const double *q,
+                                   const double *v, const double *a, const kg_vec3 *place_bar,
+                                   const kg_vec3 *velocity_bar, const kg_vec3 *acceleration_bar);
+
+/* tau[nv] = sum of J_k' f_k: the generalised force of world forces f[point_count] on the body's
+ * points. */
+KG_API void kg_dynamics_point_forces(kg_dynamics *dynamics, double *tau, const double *q,
+                                     const kg_vec3 *f);
+/* Gradient of tau_bar . tau: adds to q_bar (tangent space) and f_bar[point_count]. */
+KG_API void kg_dynamics_point_forces_vjp(kg_dynamics *dynamics, double *q_bar, kg_vec3 *f_bar,
+                                         const double *q, const kg_vec3 *f, const double *tau_bar);
+
+/* World places x[point_count] of the body's points and, where not NULL, their velocities for v. */
+KG_API void kg_dynamics_points(kg_dynamics *dynamics, kg_vec3 *x, kg_vec3 *x_dot, const double *q,
+                               const double *v);
+/* Gradient for adjoints of both (x_dot_bar may be NULL, and v with it): adds to q_bar (tangent
+ * space) and v_bar. */
+KG_API void kg_dynamics_points_vjp(kg_dynamics *dynamics, double *q_bar, double *v_bar,
+                                   const double *q, const double *v, const kg_vec3 *x_bar,
+                                   const kg_vec3 *x_dot_bar);
 
 typedef struct kg_centroid {
   double mass;     /* kg                                             */
