@@ -481,7 +481,7 @@ typedef struct trajectory {
 /* q_bar . (q' - q'_0) + v_bar . v' for the start moved by s d, v by s e, tau by s f */
 static double end_weighed(const trajectory *t, double s, const double *d)
 {
-  double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], moved[MAX_NV], q_end[MAX_NQ], v_end[MAX_NV];
+  double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], moved[MAX_NV] = {0.0}, q_end[MAX_NQ], v_end[MAX_NV];
   const int nv = t->body->nv;
   for (int k = 0; k < nv; k++) {
     moved[k] = s * d[k];
