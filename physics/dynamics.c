@@ -337,8 +337,12 @@ typedef void frame_call(const kg_model *model, double *out, const double *q, con
                         const double *y);
 
 /* width numbers of `frames` frames into lanes; the lanes left over repeat the last frame. */
-static void to_lanes(double *lanes, const double *rows, int width, int frames)
+static void to_lanes(const kg_dynamics *d, double *lanes, const double *rows, int width, int frames)
 {
+  if (frames == 8) {
+    d->kernels->rows_to_lanes(lanes, rows, width);
+    return;
+  }
   for (int f = 0; f < 8; f++) {
     const double *row = rows + (size_t)(f < frames ? f : frames - 1) * (size_t)width;
     for (int k = 0; k < width; k++) {
@@ -347,8 +351,13 @@ static void to_lanes(double *lanes, const double *rows, int width, int frames)
   }
 }
 
-static void from_lanes(double *rows, const double *lanes, int width, int frames)
+static void from_lanes(const kg_dynamics *d, double *rows, const double *lanes, int width,
+                       int frames)
 {
+  if (frames == 8) {
+    d->kernels->lanes_to_rows(rows, lanes, width);
+    return;
+  }
   for (int f = 0; f < frames; f++) {
     double *row = rows + (size_t)f * (size_t)width;
     for (int k = 0; k < width; k++) {
@@ -392,11 +401,11 @@ static void run_many(kg_dynamics *d, frame_call *one, frame_call *eight, int cou
       continue;
     }
     const int frames = left < 8 ? left : 8;
-    to_lanes(d->lanes[0], q + at_q, nq, frames);
-    to_lanes(d->lanes[1], x + at_v, nv, frames);
-    to_lanes(d->lanes[2], y + at_v, nv, frames);
+    to_lanes(d, d->lanes[0], q + at_q, nq, frames);
+    to_lanes(d, d->lanes[1], x + at_v, nv, frames);
+    to_lanes(d, d->lanes[2], y + at_v, nv, frames);
     eight(d->model, d->lanes[3], d->lanes[0], d->lanes[1], d->lanes[2]);
-    from_lanes(out + at_v, d->lanes[3], nv, frames);
+    from_lanes(d, out + at_v, d->lanes[3], nv, frames);
     first += frames;
   }
 }

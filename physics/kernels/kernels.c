@@ -5,6 +5,7 @@
 
 #include "physics/kernels/factor.inc"
 #include "physics/kernels/jacobian.inc"
+#include "physics/kernels/lanes.inc"
 #include "physics/kernels/links.inc"
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
@@ -33,6 +34,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .mass_matrix = mass_matrix,
   .derivatives = derivatives,
   .dense_mass = dense_mass,
+  .rows_to_lanes = rows_to_lanes,
+  .lanes_to_rows = lanes_to_rows,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,
 };
