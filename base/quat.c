@@ -112,7 +112,10 @@ kg_mat3 kg_so3_right_jacobian(kg_vec3 r)
     b = 2.0 * h * h / a2;
     c = (a - sin(a)) / (a2 * a);
   }
-  const kg_mat3 S = kg_mat3_skew(r);
-  return kg_mat3_add(kg_mat3_identity(),
-                     kg_mat3_add(kg_mat3_scale(-b, S), kg_mat3_scale(c, kg_mat3_mul(S, S))));
+  /* 1 - b [r] + c (r r' - r.r 1), number by number: this is called for every joint of every step */
+  const double xx = c * r.x * r.x, yy = c * r.y * r.y, zz = c * r.z * r.z;
+  const double xy = c * r.x * r.y, xz = c * r.x * r.z, yz = c * r.y * r.z;
+  const kg_mat3 Jr = {{1.0 - (yy + zz), xy + b * r.z, xz - b * r.y, xy - b * r.z, 1.0 - (xx + zz),
+                       yz + b * r.x, xz + b * r.y, yz - b * r.x, 1.0 - (xx + yy)}};
+  return Jr;
 }

@@ -109,6 +109,7 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   kg_dynamics *d = KG_ARENA_ARRAY(&arena, kg_dynamics, 1);
   kg_dynamics made = {.body = body, .n = n, .kernels = kg_physics_kernels_best()};
   made.model = create_model(body, made.kernels, &arena);
+  made.spare = KG_ARENA_ARRAY(&arena, double, body->nv);
   for (int k = 0; k < 4; k++) {
     made.lanes[k] = KG_ARENA_ARRAY(&arena, double, 8 * body->nq);
   }
@@ -336,34 +337,26 @@ void kg_dynamics_mass_solve(kg_dynamics *dynamics, double *x, const double *q)
 typedef void frame_call(const kg_model *model, double *out, const double *q, const double *x,
                         const double *y);
 
-/* width numbers of `frames` frames into lanes; the lanes left over repeat the last frame. */
-static void to_lanes(const kg_dynamics *d, double *lanes, const double *rows, int width, int frames)
-{
-  if (frames == 8) {
-    d->kernels->rows_to_lanes(lanes, rows, width);
-    return;
-  }
-  for (int f = 0; f < 8; f++) {
-    const double *row = rows + (size_t)(f < frames ? f : frames - 1) * (size_t)width;
-    for (int k = 0; k < width; k++) {
-      lanes[8 * k + f] = row[k];
-    }
-  }
-}
-
-static void from_lanes(const kg_dynamics *d, double *rows, const double *lanes, int width,
+/* Eight frames of width numbers; the lanes left over repeat the last frame. */
+static void load_lanes(const kg_dynamics *d, double *lanes, const double *rows, int width,
                        int frames)
 {
-  if (frames == 8) {
-    d->kernels->lanes_to_rows(rows, lanes, width);
-    return;
+  const double *row[8];
+  for (int f = 0; f < 8; f++) {
+    row[f] = rows + (size_t)(f < frames ? f : frames - 1) * (size_t)width;
   }
-  for (int f = 0; f < frames; f++) {
-    double *row = rows + (size_t)f * (size_t)width;
-    for (int k = 0; k < width; k++) {
-      row[k] = lanes[8 * k + f];
-    }
+  d->kernels->to_lanes(lanes, row, width);
+}
+
+/* Lanes that repeat a frame go nowhere. */
+static void store_lanes(const kg_dynamics *d, double *rows, const double *lanes, int width,
+                        int frames)
+{
+  double *row[8];
+  for (int f = 0; f < 8; f++) {
+    row[f] = f < frames ? rows + (size_t)f * (size_t)width : d->spare;
   }
+  d->kernels->from_lanes(row, lanes, width);
 }
 
 /* Eight frames where there are no vectors: one at a time. */
@@ -401,11 +394,11 @@ static void run_many(kg_dynamics *d, frame_call *one, frame_call *eight, int cou
       continue;
     }
     const int frames = left < 8 ? left : 8;
-    to_lanes(d, d->lanes[0], q + at_q, nq, frames);
-    to_lanes(d, d->lanes[1], x + at_v, nv, frames);
-    to_lanes(d, d->lanes[2], y + at_v, nv, frames);
+    load_lanes(d, d->lanes[0], q + at_q, nq, frames);
+    load_lanes(d, d->lanes[1], x + at_v, nv, frames);
+    load_lanes(d, d->lanes[2], y + at_v, nv, frames);
     eight(d->model, d->lanes[3], d->lanes[0], d->lanes[1], d->lanes[2]);
-    from_lanes(d, out + at_v, d->lanes[3], nv, frames);
+    store_lanes(d, out + at_v, d->lanes[3], nv, frames);
     first += frames;
   }
 }

@@ -237,7 +237,9 @@ static void linearize_passive(kg_step *s)
   kg_dynamics *d = s->dynamics;
   const kg_mat3 one = kg_mat3_identity();
   for (int i = 1; i < d->n; i++) {
-    kg_tree_add_diagonal(&d->tree, &s->J, i + 1, s->def.joint_damping, &one);
+    if (s->def.joint_damping != 0.0) {
+      kg_tree_add_diagonal(&d->tree, &s->J, i + 1, s->def.joint_damping, &one);
+    }
     if (!s->def.passive) continue;
     const kg_joint_passive *p = &s->def.passive[i];
     kg_mat3 by_turn;

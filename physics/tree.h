@@ -133,6 +133,7 @@ struct kg_dynamics {
   const kg_physics_kernels *kernels;
   struct kg_model *model; /* for the recursive algorithms */
   double *lanes[4];       /* eight frames: nq or nv numbers of each */
+  double *spare;          /* nv numbers nobody reads */
   kg_arena arena;
 };
 

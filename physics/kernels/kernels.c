@@ -34,8 +34,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .mass_matrix = mass_matrix,
   .derivatives = derivatives,
   .dense_mass = dense_mass,
-  .rows_to_lanes = rows_to_lanes,
-  .lanes_to_rows = lanes_to_rows,
+  .to_lanes = to_lanes,
+  .from_lanes = from_lanes,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,
 };

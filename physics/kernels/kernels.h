@@ -58,9 +58,9 @@ struct kg_physics_kernels {
   /* dense nv x nv, each may be NULL */
   void (*derivatives)(const kg_dynamics *d, double *by_q, double *by_v, double *by_a);
   void (*dense_mass)(const kg_dynamics *d, double *M);
-  /* eight rows of width numbers, one below the other, to x[k][8] and back */
-  void (*rows_to_lanes)(double *lanes, const double *rows, int width);
-  void (*lanes_to_rows)(double *rows, const double *lanes, int width);
+  /* width numbers of eight frames: row[f] is one after the other, lanes side by side */
+  void (*to_lanes)(double *lanes, const double *const row[8], int width);
+  void (*from_lanes)(double *const row[8], const double *lanes, int width);
   const kg_number_kernels *one;
   const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
 };

@@ -115,6 +115,30 @@ static inline row4 row4_turn(row4 a)
 #endif
 }
 
+/* Rows and columns exchanged. */
+static inline void row4_transpose(row4 r[4])
+{
+#ifdef KG_ROW4_IS_VECTOR
+  const row4 a = __builtin_shufflevector(r[0], r[1], 0, 4, 2, 6);
+  const row4 b = __builtin_shufflevector(r[0], r[1], 1, 5, 3, 7);
+  const row4 c = __builtin_shufflevector(r[2], r[3], 0, 4, 2, 6);
+  const row4 d = __builtin_shufflevector(r[2], r[3], 1, 5, 3, 7);
+  r[0] = __builtin_shufflevector(a, c, 0, 1, 4, 5);
+  r[1] = __builtin_shufflevector(b, d, 0, 1, 4, 5);
+  r[2] = __builtin_shufflevector(a, c, 2, 3, 6, 7);
+  r[3] = __builtin_shufflevector(b, d, 2, 3, 6, 7);
+#else
+  double all[4][4];
+  for (int i = 0; i < 4; i++) {
+    row4_store(all[i], r[i]);
+  }
+  for (int i = 0; i < 4; i++) {
+    const double column[4] = {all[0][i], all[1][i], all[2][i], all[3][i]};
+    r[i] = row4_load(column);
+  }
+#endif
+}
+
 /* The first three numbers alone. */
 static inline void row4_store3(double *p, row4 a)
 {
