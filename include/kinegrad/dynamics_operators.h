@@ -42,6 +42,11 @@ KG_API kg_value kg_joint_accelerations(kg_tape *tape, kg_dynamics_operators *ope
 /* Points of the body in the world (..., point_count, 3), m */
 KG_API kg_value kg_point_positions(kg_tape *tape, kg_dynamics_operators *operators, kg_value q);
 
+/* Velocities of a motion q (..., T, nq) with frames dt apart: central differences of its inner frames,
+ * (q_{t+1} - q_{t-1}) / (2 dt) in the tangent space -> (..., T - 2, nv). T >= 3. */
+KG_API kg_value kg_motion_velocities(kg_tape *tape, kg_dynamics_operators *operators, double dt,
+                                     kg_value q);
+
 /* Forces f (..., point_count, 3) in the world on the body's points -> generalised forces (..., nv) */
 KG_API kg_value kg_point_forces(kg_tape *tape, kg_dynamics_operators *operators, kg_value q,
                                 kg_value f);
