@@ -24,7 +24,7 @@ enum {
   BENCH_KERNEL_CASES = 16,
   BENCH_STEP_CASES = 3,
   BENCH_DERIVATIVE_CASES = 3,
-  BENCH_ROLLOUT_CASES = 1
+  BENCH_ROLLOUT_CASES = 2
 };
 
 extern const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES];
