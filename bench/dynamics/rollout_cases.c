@@ -1,8 +1,8 @@
 /* A run of 500 steps of 1/120 s, and the gradient of its end with respect to all torques.
  *
  * The body has springs and dampers in its joints and is pushed by torques that change every step. From
- * its feet it sways, gives way and comes to lie; in flight it falls all the time. The gradient goes back through the steps one by one, by
- * kg_step_vjp at the states that the run left behind. Times are those of a step.
+ * its feet it sways, gives way and comes to lie; in flight it falls all the time. Times are those of
+ * a step: kg_rollout_run, and kg_rollout_vjp after a run, with all states kept or with checkpoints.
  *
  * Compared: the gradient along three series of torques, with tangents carried forward by the full
  * derivatives of every step. */
@@ -13,6 +13,7 @@
 
 #include "bench/dynamics/cases.h"
 #include "bench/dynamics/scenes.h"
+#include "kinegrad/rollout.h"
 
 enum { STEPS = 500, DIRECTIONS = 3 };
 static const double STIFFNESS = 300.0; /* N m/rad, towards the pose the skeleton was drawn in */
@@ -222,84 +223,97 @@ static kg_status reference(const void *data, double *answer)
 /* ---- contestants ----------------------------------------------------------------------------- */
 
 typedef struct runner {
-  rollout *of;
+  const rollout *of;
   kg_step *step;
-  double *gradient;         /* (STEPS, nv)        */
-  double *bar[2], *next[2]; /* of q and v: nv each */
+  kg_rollout *rollout;
+  double *gradient; /* (STEPS, nv) */
 } runner;
 
 static void destroy(void *state)
 {
   runner *s = state;
+  kg_rollout_destroy(s->rollout);
   kg_step_destroy(s->step);
   free(s->gradient);
   free(s);
-}
-
-static kg_status create(void **state, const void *data, const kg_allocator *allocator)
-{
-  runner *s = calloc(1, sizeof *s);
-  if (!s) {
-    return KG_ERR_NO_MEMORY;
-  }
-  s->of = (rollout *)data;
-  const size_t nv = (size_t)s->of->nv;
-  const kg_step_def def = step_def(s->of, allocator);
-  s->gradient = calloc((STEPS + 4) * nv, sizeof *s->gradient);
-  const kg_status status = s->gradient ? kg_step_create(&s->step, &def) : KG_ERR_NO_MEMORY;
-  if (status != KG_OK) {
-    destroy(s);
-    return status;
-  }
-  for (size_t k = 0; k < 2; k++) {
-    s->bar[k] = s->gradient + (STEPS + k) * nv;
-    s->next[k] = s->gradient + (STEPS + 2 + k) * nv;
-  }
-  *state = s;
-  return KG_OK;
 }
 
 static kg_status run_forward(void *state, double *answer)
 {
   (void)answer;
   runner *s = state;
-  roll(s->of, s->step);
+  const rollout *r = s->of;
+  return kg_rollout_run(s->rollout, STEPS, r->q, r->v, r->tau, NULL, NULL, NULL);
+}
+
+static kg_status make(runner *s, bool checkpoints, const kg_allocator *allocator)
+{
+  const kg_step_def def = step_def(s->of, allocator);
+  kg_status status = kg_step_create(&s->step, &def);
+  if (status == KG_OK) {
+    const kg_rollout_def rollout_def = {.step = s->step,
+                                        .max_steps = STEPS,
+                                        .dt = s->of->scene.dt,
+                                        .checkpoints = checkpoints,
+                                        .allocator = allocator};
+    status = kg_rollout_create(&s->rollout, &rollout_def);
+  }
+  return status == KG_OK ? run_forward(s, NULL) : status;
+}
+
+static kg_status create_either(void **state, const void *data, bool checkpoints,
+                               const kg_allocator *allocator)
+{
+  runner *s = calloc(1, sizeof *s);
+  if (!s) {
+    return KG_ERR_NO_MEMORY;
+  }
+  s->of = data;
+  s->gradient = calloc((size_t)STEPS * (size_t)s->of->nv, sizeof *s->gradient);
+  const kg_status status = s->gradient ? make(s, checkpoints, allocator) : KG_ERR_NO_MEMORY;
+  if (status != KG_OK) {
+    destroy(s);
+    return status;
+  }
+  *state = s;
   return KG_OK;
 }
 
-/* bar of step n from that of step n + 1, which is in next; the torques' to the gradient */
-static kg_status go_back(runner *s, int n)
+static kg_status create(void **state, const void *data, const kg_allocator *allocator)
 {
-  rollout *r = s->of;
-  const size_t bytes = (size_t)r->nv * sizeof(double);
-  memset(s->bar[0], 0, bytes);
-  memset(s->bar[1], 0, bytes);
-  const kg_step_gradient gradient = {
-    .q = s->bar[0], .v = s->bar[1], .tau = row(s->gradient, n, r->nv)};
-  const kg_status status =
-    kg_step_vjp(s->step, &gradient, row(r->q, n, r->nq), row(r->v, n, r->nv), row(r->tau, n, r->nv),
-                r->scene.dt, row(r->v, n + 1, r->nv), r->substeps[n], s->next[0], s->next[1]);
-  memcpy(s->next[0], s->bar[0], bytes);
-  memcpy(s->next[1], s->bar[1], bytes);
-  return status;
+  return create_either(state, data, false, allocator);
+}
+
+static kg_status create_checkpoints(void **state, const void *data, const kg_allocator *allocator)
+{
+  return create_either(state, data, true, allocator);
+}
+
+/* weights of the last state */
+static void cotangent(void *user, int t, const double *q, const double *v, double *q_bar,
+                      double *v_bar)
+{
+  const rollout *r = user;
+  (void)q;
+  (void)v;
+  for (int k = 0; k < r->nv && t == STEPS; k++) {
+    q_bar[k] += r->q_bar[k];
+    v_bar[k] += r->v_bar[k];
+  }
 }
 
 static kg_status run_backward(void *state, double *answer)
 {
   runner *s = state;
-  rollout *r = s->of;
-  const size_t nv = (size_t)r->nv;
-  kg_status status = KG_OK;
-  memset(s->gradient, 0, STEPS * nv * sizeof *s->gradient);
-  memcpy(s->next[0], r->q_bar, nv * sizeof(double));
-  memcpy(s->next[1], r->v_bar, nv * sizeof(double));
-  for (int n = STEPS - 1; n >= 0 && status == KG_OK; n--) {
-    status = go_back(s, n);
-  }
+  const rollout *r = s->of;
+  const size_t count = (size_t)STEPS * (size_t)r->nv;
+  memset(s->gradient, 0, count * sizeof *s->gradient);
+  const kg_rollout_gradient gradient = {.tau = s->gradient};
+  const kg_status status = kg_rollout_vjp(s->rollout, &gradient, cotangent, (void *)r);
   for (size_t i = 0; i < DIRECTIONS; i++) {
-    const double *direction = r->direction + i * STEPS * nv;
+    const double *direction = r->direction + i * count;
     answer[i] = 0.0;
-    for (size_t k = 0; k < STEPS * nv; k++) {
+    for (size_t k = 0; k < count; k++) {
       answer[i] += direction[k] * s->gradient[k];
     }
   }
@@ -311,8 +325,12 @@ static kg_status run_backward(void *state, double *answer)
 static const kg_bench_contestant contestants[] = {
   {"forward", NULL, 0, create, run_forward, destroy},
   {"backward", NULL, 1, create, run_backward, destroy},
+  {"backward, checkpoints", NULL, 1, create_checkpoints, run_backward, destroy},
 };
-static const kg_bench_pair pairs[] = {{"backward over forward", 1, 0, 1.0}};
+static const kg_bench_pair pairs[] = {
+  {"backward over forward", 1, 0, 1.0},
+  {"checkpoints over forward", 2, 0, 0.0},
+};
 
 static const kg_bench_situation flight = KG_BENCH_FLIGHT, standing = KG_BENCH_STANDING;
 
