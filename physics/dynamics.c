@@ -50,6 +50,10 @@ static void copy_model(kg_model *model, const kg_body *body)
     for (int k = 0; k < 6; k++) {
       l->inertia[k] = s->inertia[k] + own[k];
     }
+    const kg_mat3 I = symmetric(l->inertia);
+    for (int k = 0; k < 9; k++) {
+      l->columns[k / 3 * 4 + k % 3] = I.m[k];
+    }
   }
 }
 
@@ -71,7 +75,7 @@ static kg_model *create_model(const kg_body *body, const kg_physics_kernels *ker
   kg_model *model = KG_ARENA_ARRAY(arena, kg_model, 1);
   const kg_model made = {.n = n,
                          .links = KG_ARENA_ARRAY(arena, kg_link_model, n),
-                         .scratch = kg_arena_alloc(arena, (size_t)n, scratch_of(kernels))};
+                         .scratch = kg_arena_alloc(arena, (size_t)n + 3, scratch_of(kernels))};
   if (kg_arena_failed(arena)) {
     return NULL;
   }
@@ -315,10 +319,18 @@ static void run_inverse(kg_dynamics *d, const double *q, const double *v, const 
   clear_link_external(d);
 }
 
+typedef void frame_call(const kg_model *model, double *out, const double *q, const double *x,
+                        const double *y);
+
+static frame_call *inverse_of_one(const kg_physics_kernels *kernels)
+{
+  return kernels->inverse ? kernels->inverse : kernels->one->inverse;
+}
+
 void kg_dynamics_inverse(kg_dynamics *dynamics, double *tau, const double *q, const double *v,
                          const double *a)
 {
-  dynamics->kernels->one->inverse(dynamics->model, tau, q, v, a);
+  inverse_of_one(dynamics->kernels)(dynamics->model, tau, q, v, a);
 }
 
 void kg_dynamics_forward(kg_dynamics *dynamics, double *a, const double *q, const double *v,
@@ -333,9 +345,6 @@ void kg_dynamics_mass_solve(kg_dynamics *dynamics, double *x, const double *q)
 }
 
 /* ---- many frames ------------------------------------------------------------------------------*/
-
-typedef void frame_call(const kg_model *model, double *out, const double *q, const double *x,
-                        const double *y);
 
 /* Eight frames of width numbers; the lanes left over repeat the last frame. */
 static void load_lanes(const kg_dynamics *d, double *lanes, const double *rows, int width,
@@ -410,7 +419,7 @@ void kg_dynamics_inverse_lanes(kg_dynamics *dynamics, double *tau, const double 
   if (d->kernels->eight) {
     d->kernels->eight->inverse(d->model, tau, q, v, a);
   } else {
-    run_lanes_singly(d, d->kernels->one->inverse, tau, q, v, a);
+    run_lanes_singly(d, inverse_of_one(d->kernels), tau, q, v, a);
   }
 }
 
@@ -429,7 +438,7 @@ void kg_dynamics_inverse_many(kg_dynamics *dynamics, int count, double *tau, con
                               const double *v, const double *a)
 {
   const kg_physics_kernels *k = dynamics->kernels;
-  run_many(dynamics, k->one->inverse, k->eight ? k->eight->inverse : NULL, count, tau, q, v, a);
+  run_many(dynamics, inverse_of_one(k), k->eight ? k->eight->inverse : NULL, count, tau, q, v, a);
 }
 
 void kg_dynamics_forward_many(kg_dynamics *dynamics, int count, double *a, const double *q,

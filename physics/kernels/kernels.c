@@ -7,6 +7,11 @@
 #include "physics/kernels/jacobian.inc"
 #include "physics/kernels/lanes.inc"
 #include "physics/kernels/links.inc"
+#ifdef KG_ROW4_IS_VECTOR
+#include "physics/kernels/inverse_rows.inc"
+#else
+typedef char inverse_rows; /* takes no scratch */
+#endif
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
 #if defined(__GNUC__)
@@ -25,7 +30,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .solve_transposed = solve_transposed,
   .solve_many = solve_many,
   .solve_transposed_many = solve_transposed_many,
-  .link_scratch = sizeof(link_rows),
+  .link_scratch = sizeof(link_rows) > sizeof(inverse_rows) ? sizeof(link_rows)
+                                                           : sizeof(inverse_rows),
   .move = move_links,
   .prepare = prepare,
   .prepare_mass = prepare_mass,
@@ -36,6 +42,9 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .dense_mass = dense_mass,
   .to_lanes = to_lanes,
   .from_lanes = from_lanes,
+#ifdef KG_ROW4_IS_VECTOR
+  .inverse = inverse_rows_frame,
+#endif
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,
 };

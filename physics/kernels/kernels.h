@@ -12,9 +12,10 @@
 typedef struct kg_link_model {
   int parent;
   double mass;
-  double offset[3];  /* of the joint in the parent's axes; zero for the root */
-  double h[3];       /* mass * centre of mass                                */
-  double inertia[6]; /* xx yy zz xy xz yz                                    */
+  double offset[3];   /* of the joint in the parent's axes; zero for the root */
+  double h[3];        /* mass * centre of mass                                */
+  double inertia[6];  /* xx yy zz xy xz yz                                    */
+  double columns[12]; /* the same as columns of four, the fourth zero        */
 } kg_link_model;
 
 typedef struct kg_model {
@@ -61,6 +62,9 @@ struct kg_physics_kernels {
   /* width numbers of eight frames: row[f] is one after the other, lanes side by side */
   void (*to_lanes)(double *lanes, const double *const row[8], int width);
   void (*from_lanes)(double *const row[8], const double *lanes, int width);
+  /* inverse of `one` over vectors; NULL where they are too narrow to gain */
+  void (*inverse)(const kg_model *model, double *tau, const double *q, const double *v,
+                  const double *a);
   const kg_number_kernels *one;
   const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
 };

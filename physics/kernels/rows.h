@@ -115,6 +115,12 @@ static inline row4 row4_turn(row4 a)
 #endif
 }
 
+/* a x b = (b turned . a - a turned . b) turned, where turned is (y, z, x) */
+static inline row4 row4_cross(row4 a, row4 b)
+{
+  return row4_turn(row4_sub(row4_mul(a, row4_turn(b)), row4_mul(row4_turn(a), b)));
+}
+
 /* Rows and columns exchanged. */
 static inline void row4_transpose(row4 r[4])
 {
