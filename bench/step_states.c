@@ -9,7 +9,7 @@
  * says how far the answers are from those kept; the clips must be the same in the same order.
  * A random state is a step of the clips with pose and velocity disturbed, half of them set down with
  * the lowest point in or near the layer; it is solved from v, without a guess. --tails prints the
- * residuals of K steps as whole Newton iterations follow each other. */
+ * residuals of K steps of the clips after each of Newton's iterations. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -50,7 +50,7 @@ typedef struct clip_data {
 
 /* What came of a set of steps. */
 typedef struct statistics {
-  long count, converged, substepped, fallback, iterations, cuts, inner;
+  long count, converged, substepped, fallback, iterations, cuts, contact_iterations;
   int most;
   double residual;
   long histogram[MAX_ITERATIONS + 1];
@@ -112,7 +112,9 @@ static void count_step(statistics *s, const kg_step_report *report)
   s->count++;
   s->converged += report->converged;
   s->substepped += report->substeps > 1;
+  s->fallback += report->used_fallback;
   s->iterations += report->iterations;
+  s->contact_iterations += report->contact_iterations;
   s->cuts += report->cuts;
   s->most = report->iterations > s->most ? report->iterations : s->most;
   s->residual = fmax(s->residual, report->residual);
@@ -134,7 +136,9 @@ static void add_statistics(statistics *sum, const statistics *s)
   sum->count += s->count;
   sum->converged += s->converged;
   sum->substepped += s->substepped;
+  sum->fallback += s->fallback;
   sum->iterations += s->iterations;
+  sum->contact_iterations += s->contact_iterations;
   sum->cuts += s->cuts;
   sum->most = s->most > sum->most ? s->most : sum->most;
   sum->residual = fmax(sum->residual, s->residual);
@@ -147,18 +151,20 @@ static void print_line(const char *name, const statistics *s)
 {
   if (s->count == 0) return;
   const double n = (double)s->count;
-  printf("%-9s %7ld %9.3f%% %9.3f%% %7.2f %4d %4d %5d %7.2f %9.1e\n", name, s->count,
+  printf("%-9s %7ld %9.3f%% %9.3f%% %8.3f%% %6.2f %4d %4d %5d %8.2f %6.2f %9.1e\n", name, s->count,
          100.0 * (double)s->converged / n, 100.0 * (double)s->substepped / n,
-         (double)s->iterations / n, quantile(s, 0.5), quantile(s, 0.95), s->most,
-         (double)s->cuts / n, s->residual);
+         100.0 * (double)s->fallback / n, (double)s->iterations / n, quantile(s, 0.5),
+         quantile(s, 0.95), s->most, (double)s->contact_iterations / n, (double)s->cuts / n,
+         s->residual);
 }
 
 static void print_table(const char *title, const statistics of[CLASS_COUNT])
 {
   static statistics all;
   memset(&all, 0, sizeof all);
-  printf("\n%s\n%-9s %7s %10s %10s %7s %4s %4s %5s %7s %9s\n", title, "", "steps", "converged",
-         "substepped", "mean", "med", "95%", "most", "cuts", "residual");
+  printf("\n%s\n%-9s %7s %10s %10s %9s %6s %4s %4s %5s %8s %6s %9s\n", title, "", "steps",
+         "converged", "substepped", "fallback", "mean", "med", "95%", "most", "contact", "cuts",
+         "residual");
   for (int k = 0; k < CLASS_COUNT; k++) {
     print_line(CLASS_NAMES[k], &of[k]);
     add_statistics(&all, &of[k]);
@@ -390,6 +396,19 @@ static void set_down(kg_dynamics *d, const kg_step_def *def, double height, doub
   q[2] += (height - low) * n.z;
 }
 
+/* One state in ten lies: it is turned as a whole, any way, and set down slowly. */
+static void turn_over(kg_random *random, kg_dynamics *d, const kg_step_def *def,
+                      step_record *record)
+{
+  double turn[NV] = {0.0};
+  for (int k = 0; k < def->body->nv; k++) {
+    turn[k] = k >= 3 && k < 6 ? 1.5 * kg_random_normal(random) : 0.0;
+    record->v[k] *= 0.2;
+  }
+  kg_body_integrate(def->body, record->q, record->q, turn);
+  set_down(d, def, def->contact.layer * kg_random_uniform(random), record->q);
+}
+
 /* joints by up to 0.05 rad, the root by up to 5 mm, rates by up to 0.5 rad/s and 0.5 m/s (one sigma) */
 static void disturb(kg_random *random, kg_dynamics *d, const kg_step_def *def, step_record *record)
 {
@@ -400,7 +419,9 @@ static void disturb(kg_random *random, kg_dynamics *d, const kg_step_def *def, s
     record->v[k] += size * 0.5 * kg_random_normal(random);
   }
   kg_body_integrate(def->body, record->q, record->q, move);
-  if (kg_random_uniform(random) < 0.5) {
+  if (kg_random_uniform(random) < 0.1) {
+    turn_over(random, d, def, record);
+  } else if (kg_random_uniform(random) < 0.5) {
     set_down(d, def, def->contact.layer * (2.0 * kg_random_uniform(random) - 0.5), record->q);
   }
 }
@@ -426,13 +447,51 @@ static void solve_random(const run *r, int count, uint64_t seed)
   print_table("random states", of);
 }
 
+/* ---- how fast the end is -----------------------------------------------------------------------*/
+
+/* Residual after the first `most` iterations of a whole step. */
+static double residual_after(const run *r, const step_record *record, int most, bool *done)
+{
+  kg_step_def def = r->clips[record->clip].def;
+  kg_step *step = NULL;
+  kg_step_report report;
+  double q_next[NQ], v[NV];
+  def.max_iterations = most;
+  def.max_substep_levels = 0;
+  if (kg_step_create(&step, &def) != KG_OK) exit(1);
+  memcpy(v, record->guess, sizeof v);
+  kg_step_advance(step, q_next, v, record->q, record->v, record->tau, record->dt, record->use_guess,
+                  &report);
+  kg_step_destroy(step);
+  *done = report.converged;
+  return report.residual;
+}
+
+/* Least residual so far, after 0, 1, 2, ... iterations, and from one to the next r' / r^2. */
+static void print_tails(const run *r, int count)
+{
+  printf(
+    "\nresiduals after each iteration (kg^1/2 m/s), in brackets over the square of the last\n");
+  for (int k = 0; k < count; k++) {
+    const step_record *record = &r->records[(2 * (size_t)k + 1) * r->count / (2 * (size_t)count)];
+    bool done = false;
+    double last = 0.0;
+    for (int most = 0; !done && most < 10; most++) {
+      const double m = residual_after(r, record, most, &done);
+      printf(most > 0 ? " %9.2e (%7.1e)" : " %9.2e", m, m / (last * last));
+      last = m;
+    }
+    printf("\n");
+  }
+}
+
 /* ---- main --------------------------------------------------------------------------------------*/
 
 int main(int argc, char **argv)
 {
   run *r = &the_run;
   const char *save_path = NULL, *load_path = NULL;
-  int random_count = 0, every = 1;
+  int random_count = 0, every = 1, tails = 0;
   uint64_t seed = 1;
   for (int i = 1; i < argc; i++) {
     const bool has_value = i + 1 < argc;
@@ -442,6 +501,8 @@ int main(int argc, char **argv)
       seed = strtoull(argv[++i], NULL, 10);
     } else if (strcmp(argv[i], "--every") == 0 && has_value) {
       every = atoi(argv[++i]);
+    } else if (strcmp(argv[i], "--tails") == 0 && has_value) {
+      tails = atoi(argv[++i]);
     } else if (strcmp(argv[i], "--save") == 0 && has_value) {
       save_path = argv[++i];
     } else if (strcmp(argv[i], "--load") == 0 && has_value) {
@@ -466,6 +527,7 @@ int main(int argc, char **argv)
     fprintf(stderr, "step_states: cannot write %s\n", save_path);
     return 2;
   }
+  if (tails > 0 && r->count > 0) print_tails(r, tails);
   if (random_count > 0 && r->count > 0) solve_random(r, random_count, seed);
   for (int k = 0; k < r->clip_count; k++) {
     kg_subject_destroy(r->clips[k].subject);

@@ -3,7 +3,7 @@
  * Equation numbers refer to docs/theory/contact.md: normal law (1) to (3), friction (4) and (5),
  * derivatives (6) to (8). Phi signed distance, n its gradient, H its Hessian, u velocity of the
  * point, u_t its part along the surface. */
-#include "kinegrad/contact.h"
+#include "physics/contact_law.h"
 
 /* The ramp is smoothed where its argument is between -RAMP and RAMP; at rest it is 1. */
 static const double RAMP = 0.1;
@@ -44,6 +44,14 @@ static curve ramp(double u)
   return (curve){s * s / (4.0 * RAMP), s / (2.0 * RAMP)};
 }
 
+kg_normal_law kg_contact_normal(const kg_contact_params *params, double distance, double speed)
+{
+  if (distance >= params->layer) return (kg_normal_law){0.0, 0.0, 0.0};
+  const curve N = elastic(params, distance);
+  const curve r = ramp(1.0 - params->damping * speed);
+  return (kg_normal_law){N.y * r.y, N.slope * r.y, -params->damping * N.y * r.slope};
+}
+
 /* (5) w(u_t) = g(|u_t| / stick) u_t / |u_t| = factor u_t and its derivative factor 1 - bend u_t u_t' */
 typedef struct slip {
   double factor, bend;
@@ -68,7 +76,7 @@ static kg_mat3 hessian_of(const kg_sdf_value *s)
 
 /* (6) to (8); f_n = N r with elastic N and ramp r, all at one point */
 static void differentiate(const kg_contact_params *p, const kg_sdf_value *s, kg_vec3 u, curve N,
-                          curve r, kg_contact_force *out)
+                          curve r, double bound, kg_contact_force *out)
 {
   const kg_vec3 n = s->normal;
   const kg_mat3 H = hessian_of(s);
@@ -79,9 +87,9 @@ static void differentiate(const kg_contact_params *p, const kg_sdf_value *s, kg_
   const kg_vec3 Hu = kg_mat3_mul_vec(H, u);
   const kg_vec3 fn_x = kg_vec3_add_scaled(kg_vec3_scale(N.slope * r.y, n), -push, Hu); /* (6) */
   const kg_vec3 fn_u = kg_vec3_scale(-push, n);
-  /* direction of the whole force: n - mu w(u_t), and mu f_n dw/du_t */
-  const kg_vec3 along = kg_vec3_add_scaled(n, -p->friction * w.factor, u_t);
-  const double mu_fn = p->friction * out->normal;
+  /* direction in which f grows with f_n: n - mu w(u_t); mu f_n dw/du_t */
+  const kg_vec3 along = bound < 0.0 ? kg_vec3_add_scaled(n, -p->friction * w.factor, u_t) : n;
+  const double mu_fn = p->friction * (bound < 0.0 ? out->normal : bound);
   const kg_mat3 dw = kg_mat3_add(kg_mat3_scale(mu_fn * w.factor, kg_mat3_identity()),
                                  kg_mat3_scale(-mu_fn * w.bend, kg_mat3_outer(u_t, u_t)));
   const kg_mat3 ut_u = kg_mat3_add(kg_mat3_identity(), kg_mat3_scale(-1.0, kg_mat3_outer(n, n)));
@@ -93,8 +101,8 @@ static void differentiate(const kg_contact_params *p, const kg_sdf_value *s, kg_
                            kg_mat3_scale(-1.0, kg_mat3_mul(dw, ut_x))); /* (7) */
 }
 
-bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
-                         kg_vec3 u, bool derivatives, kg_contact_force *out)
+bool kg_contact_evaluate_bounded(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
+                                 kg_vec3 u, double bound, bool derivatives, kg_contact_force *out)
 {
   KG_ASSERT(params->layer > 0.0 && params->stick > 0.0 && params->floor_share > 0.0);
   const kg_sdf_value s = kg_scene_distance(scene, x);
@@ -106,10 +114,11 @@ bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene,
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, s.normal);
   const slip w = friction_slip(params, u_t);
   out->normal = N.y * r.y;
-  out->f = kg_vec3_scale(out->normal,
-                         kg_vec3_add_scaled(s.normal, -params->friction * w.factor, u_t)); /* (4) */
+  const double mu_fn = params->friction * (bound < 0.0 ? out->normal : bound);
+  out->f =
+    kg_vec3_add_scaled(kg_vec3_scale(out->normal, s.normal), -mu_fn * w.factor, u_t); /* (4) */
   if (derivatives) {
-    differentiate(params, &s, u, N, r, out);
+    differentiate(params, &s, u, N, r, bound, out);
   }
   return true;
 }
@@ -160,4 +169,10 @@ void kg_contact_params_vjp(const kg_contact_params *params, const kg_contact_for
   bar[3] -= by_normal * N.y * r.slope * speed_n;
   bar[4] -= c->normal * factor * across;
   bar[5] -= c->normal * p->friction * slip_by_stick(p, kg_vec3_norm(u_t)) * across;
+}
+
+bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
+                         kg_vec3 u, bool derivatives, kg_contact_force *out)
+{
+  return kg_contact_evaluate_bounded(params, scene, x, u, -1.0, derivatives, out);
 }

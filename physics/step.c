@@ -1,20 +1,21 @@
-/* One backward Euler step of a body with contact: Newton, continuation, sub-steps.
+/* One backward Euler step of a body with contact: Newton's method and sub-steps.
  *
- * Equation numbers: docs/theory/dynamics.md for (1) to (19), docs/theory/contact.md where "contact"
- * is written before the number. */
-#include "physics/step_problem.h"
+ * Every iteration linearises the body and solves contact with the linear body on its own
+ * (small_problem.c). Equation numbers: docs/theory/dynamics.md for (1) to (19),
+ * docs/theory/contact.md where "contact" is written before the number. */
+#include "physics/small_problem.h"
 
 #include <string.h>
 
-/* What plain Newton does not solve at once is solved by continuation: the contact law is made soft,
- * solved roughly, and hardened to what it is (docs/theory/contact.md, section 4). */
-static const double SOFT_FLOOR_SHARE = 0.9;
-static const double SOFT_STICK = 1.0;     /* m/s                                             */
-static const double ROUGH = 0.1;          /* kg^1/2 m/s; tolerance on the way                */
-static const double FIRST_HARDNESS = 0.6; /* between soft (0) and hard (1)                   */
-static const double FIRST_STRIDE = 0.4;   /* of hardness                                     */
-static const double SMALLEST_STRIDE = 0.01;
-enum { PLAIN_ITERATIONS = 2, ROUGH_ITERATIONS = 12 };
+enum {
+  HALVINGS = 30,
+  DAMPINGS = 5,
+  MOST_STALLED = 6, /* iterations in a row without a new least residual    */
+  MOST_BOUNDED = 3  /* iterations that only bounded friction gave an answer */
+};
+static const double ARMIJO = 1e-4;
+static const double FIRST_DAMPING = 0.5;
+static const double MOST_TURN = 0.4; /* rad, of a joint within an iteration */
 
 kg_step_def kg_step_default_def(const kg_body *body)
 {
@@ -30,22 +31,11 @@ kg_step_def kg_step_default_def(const kg_body *body)
 static kg_status create_parts(kg_step *s)
 {
   const kg_step_def *def = &s->def;
-  kg_status status = kg_dynamics_create(&s->dynamics, def->body, def->allocator);
-  if (status != KG_OK) return status;
-  kg_dynamics_set_gravity(s->dynamics, def->gravity);
-  kg_newton_def newton = kg_newton_default_def(def->body->nv);
-  newton.tolerance = def->tolerance;
-  newton.max_iterations = def->max_iterations;
-  newton.allocator = def->allocator;
-  status = kg_newton_create(&s->newton, &newton);
-  if (status != KG_OK) return status;
-  newton.max_iterations =
-    def->max_iterations < PLAIN_ITERATIONS ? def->max_iterations : PLAIN_ITERATIONS;
-  status = kg_newton_create(&s->plain, &newton);
-  if (status != KG_OK) return status;
-  newton.tolerance = fmax(ROUGH, def->tolerance);
-  newton.max_iterations = ROUGH_ITERATIONS;
-  return kg_newton_create(&s->rough, &newton);
+  const kg_status status = kg_dynamics_create(&s->dynamics, def->body, def->allocator);
+  if (status == KG_OK) {
+    kg_dynamics_set_gravity(s->dynamics, def->gravity);
+  }
+  return status;
 }
 
 kg_status kg_step_create(kg_step **step, const kg_step_def *def)
@@ -64,15 +54,17 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   made.q_end = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.a = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.G = KG_ARENA_ARRAY(&arena, double, body->nv);
-  made.x_start = KG_ARENA_ARRAY(&arena, double, body->nv);
-  made.x_good = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.d = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.x_best = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.x_trial = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.v_end = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.q_sub = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.v_sub = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.x = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.small = kg_small_create(body, &arena);
   const int states = (1 << def->max_substep_levels) + 1;
-  made.trace_q = KG_ARENA_ARRAY(&arena, double, (size_t)states * (size_t)body->nq);
-  made.trace_v = KG_ARENA_ARRAY(&arena, double, (size_t)states * (size_t)body->nv);
+  made.trace_q = KG_ARENA_ARRAY(&arena, double, (size_t)states *(size_t)body->nq);
+  made.trace_v = KG_ARENA_ARRAY(&arena, double, (size_t)states *(size_t)body->nv);
   made.returned = KG_ARENA_ARRAY(&arena, double, KG_STEP_RETURNED * body->nv);
   kg_status status = kg_arena_failed(&arena) ? KG_ERR_NO_MEMORY : create_parts(&made);
   if (status == KG_OK) {
@@ -80,9 +72,6 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
     status = kg_arena_failed(&arena) ? KG_ERR_NO_MEMORY : KG_OK;
   }
   if (status != KG_OK) {
-    kg_newton_destroy(made.rough);
-    kg_newton_destroy(made.plain);
-    kg_newton_destroy(made.newton);
     kg_dynamics_destroy(made.dynamics);
     kg_arena_release(&arena);
     return status;
@@ -97,122 +86,126 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
 void kg_step_destroy(kg_step *step)
 {
   if (step) {
-    kg_newton_destroy(step->rough);
-    kg_newton_destroy(step->plain);
-    kg_newton_destroy(step->newton);
     kg_dynamics_destroy(step->dynamics);
     kg_arena arena = step->arena; /* the arena holds the object itself */
     kg_arena_release(&arena);
   }
 }
-static bool direction(double *p, const double *x, const double *G, void *user)
-{
-  kg_step *s = user;
-  const int nv = s->def.body->nv;
-  kg_step_ensure_evaluated(s, x);
-  kg_step_linearize(s);
-  if (!kg_tree_factor(&s->dynamics->tree, &s->J)) {
-    return false;
-  }
-  for (int k = 0; k < nv; k++) {
-    p[k] = -G[k];
-  }
-  kg_tree_solve(&s->dynamics->tree, &s->J, p);
-  return true;
-}
-/* ---- steps ------------------------------------------------------------------------------------*/
 
-static void count_newton(kg_step_report *report, const kg_newton_report *r)
-{
-  report->iterations += r->iterations;
-  report->cuts += r->cuts;
-}
+/* ---- Newton's method --------------------------------------------------------------------------*/
 
-/* The law at a hardness between 0 and 1, in equal ratios. */
-static void set_hardness(kg_step *s, double hardness)
-{
-  const kg_contact_params *hard = &s->def.contact;
-  s->contact = *hard;
-  if (hardness < 1.0) {
-    const double floor = fmax(SOFT_FLOOR_SHARE, hard->floor_share);
-    const double stick = fmax(SOFT_STICK, hard->stick);
-    s->contact.floor_share = floor * pow(hard->floor_share / floor, hardness);
-    s->contact.stick = stick * pow(hard->stick / stick, hardness);
-  }
-  s->evaluated = false; /* the links and contacts belong to the law before */
-}
-
-/* Newton at one hardness. */
-static bool solve_at(kg_step *s, double hardness, double *x, kg_newton_report *r,
-                     kg_step_report *report)
-{
-  set_hardness(s, hardness);
-  *r = kg_newton_solve(hardness < 1.0 ? s->rough : s->newton, x, s->scale, kg_step_evaluate,
-                       direction, s);
-  count_newton(report, r);
-  return r->stop == KG_NEWTON_CONVERGED;
-}
-
-/* From a softer law to the true one with strides as long as Newton can follow. x: starting guess in,
- * best point out. */
-static kg_newton_report solve_hardening(kg_step *s, double *x, kg_step_report *report)
-{
-  const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
-  kg_newton_report r;
-  double done = FIRST_HARDNESS, stride = FIRST_STRIDE;
-  bool started = solve_at(s, done, x, &r, report);
-  if (!started) { /* as soft as it gets, and from a start that exists */
-    memcpy(x, s->v, bytes);
-    done = 0.0;
-    started = solve_at(s, done, x, &r, report);
-  }
-  while (started && done < 1.0 && stride > SMALLEST_STRIDE) {
-    memcpy(s->x_good, x, bytes);
-    const double target = fmin(1.0, done + stride);
-    if (solve_at(s, target, x, &r, report)) {
-      done = target;
-      stride *= 1.5;
-    } else {
-      stride *= 0.4;
-      if (stride > SMALLEST_STRIDE) {
-        memcpy(x, s->x_good, bytes);
-      }
-    }
-  }
-  set_hardness(s, 1.0);
-  return r;
-}
-
-/* What is left of G under the true law, for a point found under a softer one. */
-static double true_residual(kg_step *s, const double *x)
+/* G and the residual (19) at x; infinite where it is not a number */
+static double residual_at(kg_step *s, const double *x)
 {
   (void)kg_step_evaluate(s->G, x, s);
-  return kg_step_merit(s, s->G);
+  const double m = kg_step_merit(s, s->G);
+  return isfinite(m) ? m : INFINITY;
 }
 
-/* One plain step from (q, v) into (q_end, x); x: starting guess in. */
+/* The share of d that turns no joint by more than MOST_TURN: what a linear body says beyond means
+ * little. */
+static double longest_share(const kg_step *s)
+{
+  double turn = 0.0;
+  for (int k = 3; k < s->def.body->nv; k += 3) {
+    turn = fmax(turn, s->dt * kg_vec3_norm(kg_vec3_make(s->d[k], s->d[k + 1], s->d[k + 2])));
+  }
+  return turn > MOST_TURN ? MOST_TURN / turn : 1.0;
+}
+
+/* x += alpha d. Where nothing can touch, alpha is the largest of 1, 1/2, ... that lowers the residual
+ * enough [NW, algorithm 11.4]; with contact alpha = 1: the small problem has its own line search, and
+ * what the residual does between two answers of a law this stiff tells nothing. Returns the residual;
+ * infinite, and x untouched, where no step is good. */
+static double move(kg_step *s, double *x, double m, kg_step_report *report)
+{
+  const int nv = s->def.body->nv;
+  double alpha = longest_share(s);
+  for (int halving = 0; halving <= HALVINGS; halving++, alpha *= 0.5) {
+    report->cuts += halving > 0;
+    for (int k = 0; k < nv; k++) {
+      s->x_trial[k] = x[k] + alpha * s->d[k];
+    }
+    const double m_trial = residual_at(s, s->x_trial);
+    const bool good =
+      s->small->slots > 0 || m_trial <= (1.0 - ARMIJO * alpha) * m || m_trial <= s->def.tolerance;
+    if (isfinite(m_trial) && good) {
+      memcpy(x, s->x_trial, (size_t)nv * sizeof *x);
+      return m_trial;
+    }
+  }
+  return INFINITY;
+}
+
+/* s->d at x. Where the linear body would turn a joint too far or contact with it has no answer, it is
+ * made heavier until neither happens; the next iteration starts with less. False when contact was
+ * solved with bounded friction only, or not at all (d is zero then). */
+static bool find_direction(kg_step *s, const double *x, double m, double *damping,
+                           kg_step_report *report)
+{
+  kg_small_report small = {0};
+  bool found = false;
+  for (int trial = 0; trial < DAMPINGS; trial++) {
+    found = kg_small_direction(s, s->d, x, m, *damping, &small);
+    report->iterations++;
+    if (found && small.exact && longest_share(s) >= 1.0) break;
+    *damping = fmax(FIRST_DAMPING, 4.0 * *damping);
+  }
+  *damping = *damping > FIRST_DAMPING ? *damping / 8.0 : 0.0;
+  report->contact_iterations += small.iterations;
+  report->cuts += small.cuts;
+  report->used_fallback = report->used_fallback || small.fallback;
+  if (!found) {
+    memset(s->d, 0, (size_t)s->def.body->nv * sizeof *s->d);
+  }
+  return found && small.exact;
+}
+
+/* Newton from x, which ends as the iterate with the least residual; links and contacts are left there.
+ * Returns that residual. */
+static double iterate(kg_step *s, double *x, kg_step_report *report)
+{
+  const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
+  double m = residual_at(s, x), best = INFINITY;
+  double damping = 0.0;
+  int stalled = 0, bounded = 0;
+  if (m > s->def.tolerance && s->def.scene) {
+    kg_small_begin(s);
+  }
+  for (int k = 0; isfinite(m); k++) {
+    stalled = m < best ? 0 : stalled + 1;
+    if (m < best) {
+      best = m;
+      memcpy(s->x_best, x, bytes);
+    }
+    if (m <= s->def.tolerance || k == s->def.max_iterations || stalled == MOST_STALLED) break;
+    bounded += !find_direction(s, x, m, &damping, report);
+    if (bounded > MOST_BOUNDED) break;
+    m = move(s, x, m, report);
+  }
+  if (isfinite(best)) {
+    memcpy(x, s->x_best, bytes);
+  }
+  kg_step_ensure_evaluated(s, x);
+  return best;
+}
+
+/* One step from (q, v) into (q_end, x); x: starting guess in. */
 static bool solve_once(kg_step *s, const double *q, const double *v, double dt, double *x,
                        kg_step_report *report, double *worst)
 {
-  const size_t bytes = (size_t)s->def.body->nv * sizeof *x;
   kg_step_set_problem(s, q, v, s->tau, dt);
   kg_step_set_scale(s);
-  memcpy(s->x_start, x, bytes);
-  kg_newton_report r = kg_newton_solve(s->def.scene ? s->plain : s->newton, x, s->scale,
-                                       kg_step_evaluate, direction, s);
-  count_newton(report, &r);
-  if (r.stop == KG_NEWTON_MAX_ITERATIONS && s->contact_count == 0) { /* in the air: go on */
-    r = kg_newton_solve(s->newton, x, s->scale, kg_step_evaluate, direction, s);
-    count_newton(report, &r);
+  double m = iterate(s, x, report);
+  if (!isfinite(m)) { /* the guess has no residual */
+    memcpy(x, v, (size_t)s->def.body->nv * sizeof *x);
+    m = iterate(s, x, report);
   }
-  if (r.stop != KG_NEWTON_CONVERGED && s->def.scene) {
-    memcpy(x, s->x_start, bytes);
-    r = solve_hardening(s, x, report);
-    r.residual = r.stop == KG_NEWTON_CONVERGED ? r.residual : true_residual(s, x);
-  }
-  *worst = fmax(*worst, r.residual);
-  return r.stop == KG_NEWTON_CONVERGED;
+  *worst = fmax(*worst, m);
+  return m <= s->def.tolerance;
 }
+
+/* ---- steps ------------------------------------------------------------------------------------*/
 
 /* The state a sub-step starts from, or the last one ends at. */
 static void keep_state(kg_step *s, int k)
@@ -236,7 +229,6 @@ static bool solve_divided(kg_step *s, const double *q, const double *v, double d
   for (int k = 0; k < count && (good || last); k++) {
     memcpy(s->x, s->v_sub, (size_t)body->nv * sizeof *v);
     good = solve_once(s, s->q_sub, s->v_sub, dt / count, s->x, report, &worst) && good;
-    kg_step_ensure_evaluated(s, s->x);
     memcpy(s->q_sub, s->q_end, (size_t)body->nq * sizeof *q);
     memcpy(s->v_sub, s->x, (size_t)body->nv * sizeof *v);
     keep_state(s, k + 1);
@@ -271,7 +263,6 @@ void kg_step_advance(kg_step *step, double *q_next, double *v_next, const double
   s->tau = tau;
   memcpy(s->x, use_guess ? v_next : v, v_bytes);
   own.converged = solve_once(s, q, v, dt, s->x, &own, &own.residual);
-  kg_step_ensure_evaluated(s, s->x);
   for (int level = 1; level <= s->def.max_substep_levels && !own.converged; level++) {
     const bool last = level == s->def.max_substep_levels;
     own.converged = solve_divided(s, q, v, dt, level, last, &own);

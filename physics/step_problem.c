@@ -84,22 +84,24 @@ static void collide_group(kg_step *s, int i)
   }
 }
 
+bool kg_step_is_far(const kg_step *s, int i, double margin)
+{
+  const point_group *g = &s->groups[i];
+  const kg_link *l = &s->dynamics->links[i];
+  if (g->count == 0) return true;
+  const kg_vec3 centre = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, g->centre));
+  const kg_sdf_value at = kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
+  /* Phi changes by no more than the distance moved */
+  return at.distance > g->radius + s->contact.layer + margin;
+}
+
 /* Contact list and external forces of the links at their pose and velocity. */
 static void collide(kg_step *s)
 {
   s->contact_count = 0;
   for (int i = 0; i < s->dynamics->n; i++) {
-    const point_group *g = &s->groups[i];
-    kg_link *l = &s->dynamics->links[i];
-    l->external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
-    if (g->count == 0 || !s->def.scene) {
-      continue;
-    }
-    const kg_vec3 centre = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, g->centre));
-    const kg_sdf_value far =
-      kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
-    /* Phi changes by no more than the distance moved */
-    if (!(far.distance > g->radius + s->contact.layer)) {
+    s->dynamics->links[i].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
+    if (s->def.scene && !kg_step_is_far(s, i, 0.0)) {
       collide_group(s, i);
     }
   }
@@ -202,6 +204,15 @@ static void add_passive(const kg_step *s, double *G)
     const kg_vec3 spring = kg_passive_torque(p, kg_state_quat(s->q_end, i), NULL);
     kg_store3(own, kg_vec3_add(kg_load3(own), kg_vec3_add_scaled(spring, p->damping, w)));
   }
+}
+
+/* Contact list and links at the start of the step. */
+void kg_step_evaluate_start(kg_step *s)
+{
+  s->evaluated = false;
+  kg_links_pose(s->dynamics, s->q);
+  kg_links_velocity(s->dynamics, s->v);
+  collide(s);
 }
 
 /* G of the links' inertial and external forces */

@@ -21,10 +21,7 @@ enum { KG_STEP_RETURNED = 9 };
 struct kg_step {
   kg_step_def def;
   kg_dynamics *dynamics;
-  kg_newton *newton;         /* to the tolerance                                     */
-  kg_newton *plain;          /* the same with few iterations: the first attempt      */
-  kg_newton *rough;          /* to ROUGH: stages of the continuation                  */
-  kg_contact_params contact; /* of the stage */
+  kg_contact_params contact; /* the law as it stands: def.contact, softer while a way is sought */
   int *order;                /* points sorted by segment */
   point_group *groups;
   kg_step_contact *contacts;
@@ -34,14 +31,16 @@ struct kg_step {
   double *q_end, *a; /* at the last evaluated v'         */
   double *v_end;     /* the v' the links were last evaluated at; only with evaluated */
   bool evaluated;
-  double *G;                 /* of a repeated evaluation     */
-  double *x_start, *x_good;  /* the guess; last solution on the way to the hard law */
+  double *G;          /* of a repeated evaluation     */
+  double *d, *x_best; /* Newton's direction; iterate with the least residual */
+  double *x_trial;
   double *q_sub, *v_sub, *x; /* state inside a sequence of sub-steps, unknowns */
-  double *trace_q, *trace_v; /* states between the sub-steps of the last divided step, both ends too */
+  double *trace_q, *trace_v; /* states between the sub-steps of the last divided step */
   double *returned;          /* KG_STEP_RETURNED arrays of nv for the adjoint */
   /* the step being solved */
   const double *q, *v, *tau;
   double dt;
+  struct kg_small_problem *small;
   kg_arena arena;
 };
 
@@ -60,6 +59,8 @@ double kg_step_merit(const kg_step *s, const double *G);
 bool kg_step_evaluate(double *G, const double *v_end, void *user);
 /* Evaluates at x unless that is where the links are. */
 void kg_step_ensure_evaluated(kg_step *s, const double *x);
+/* Contact list and links at (q, v), the start of the step. */
+void kg_step_evaluate_start(kg_step *s);
 /* The same at the point of the last evaluation for whatever external forces the links now have. */
 void kg_step_project(kg_step *s, double *G);
 /* s->J = dG/dv', (18), at the point of the last evaluation. */
@@ -77,6 +78,10 @@ kg_mat3 kg_step_turn_by_rate(const kg_step *s, int b);
  * false when one of them does not converge. */
 bool kg_step_trace(kg_step *s, const double *q, const double *v, const double *tau, double dt,
                    int substeps);
+
+/* No point of segment i is within the layer or `margin` beyond it, as far as the ball around all of
+ * them tells. */
+bool kg_step_is_far(const kg_step *s, int i, double margin);
 
 /* Velocity of the point x (relative to O) of a segment. */
 static inline kg_vec3 kg_point_velocity(const kg_link *l, kg_vec3 x)

@@ -3,17 +3,16 @@
  * Solves for the end-of-step velocity v':
  *   G(v') = ID(q', v', (v' - v)/dt) + passive(q', v') - tau - J_c(q')' f_c(q', v') = 0,
  *   q' = q (+) dt v'
- * by Newton's method with line search on |diag(M(q))^-1/2 G dt| (kg^1/2 m/s), exact Jacobian,
- * sparse LU along the tree (leaf to root, no fill-in). Where Newton fails from the starting guess,
- * the step is solved with a softened contact law first and followed to the true one; where that
- * fails too, it is repeated in 2, 4, ... sub-steps and counted. Contact: docs/theory/contact.md. */
+ * to |diag(M(q))^-1/2 G dt| <= tolerance (kg^1/2 m/s) by Newton's method: the body is linearised
+ * exactly (sparse LU along the tree, leaf to root, no fill-in) and contact is solved with the linear
+ * body on its own, three iterations for a step in the mean. What does not converge is repeated in
+ * 2, 4, ... sub-steps and counted. Contact: docs/theory/contact.md, section 4. */
 #ifndef KINEGRAD_STEP_H
 #define KINEGRAD_STEP_H
 
 #include "kinegrad/body.h"
 #include "kinegrad/contact.h"
 #include "kinegrad/dynamics.h"
-#include "kinegrad/newton.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -47,7 +46,7 @@ typedef struct kg_step_def {
   double joint_damping;       /* N m s/rad on every ball joint, implicit; default 0           */
   const kg_joint_passive *passive; /* one per segment, that of the root is not used; NULL: none */
   double tolerance;           /* kg^1/2 m/s; default 1e-8                                     */
-  int max_iterations;         /* default 50                                                   */
+  int max_iterations;         /* of Newton's method, each (sub-)step; default 50              */
   int max_substep_levels;     /* 2^levels sub-steps at most; default 6                        */
   const kg_allocator *allocator;
 } kg_step_def;
@@ -61,8 +60,11 @@ typedef struct kg_step_contact {
 typedef struct kg_step_report {
   bool converged;             /* every (sub-)step reached the tolerance                       */
   int substeps;               /* 1 when the plain step converged                              */
-  int iterations;             /* Newton iterations of all attempts and sub-steps              */
-  int cuts;                   /* line-search halvings                                         */
+  int iterations;             /* Newton's: factorisations of the body's Jacobian, all attempts
+                                 and sub-steps                                                */
+  int contact_iterations;     /* of the small contact problem inside these                    */
+  int cuts;                   /* line-search halvings, of both                                */
+  bool used_fallback;         /* softened contact or lagged normal forces had to show the way */
   double residual;            /* worst final residual, kg^1/2 m/s                             */
   int contact_count;          /* points inside the layer at the end                           */
   const kg_step_contact *contacts; /* owned by the step, valid until its next call            */

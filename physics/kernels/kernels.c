@@ -12,6 +12,7 @@
 #else
 typedef char inverse_rows; /* takes no scratch */
 #endif
+#include "physics/kernels/wrenches.inc"
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
 #if defined(__GNUC__)
@@ -45,6 +46,9 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
 #ifdef KG_ROW4_IS_VECTOR
   .inverse = inverse_rows_frame,
 #endif
+  .add_motion = add_motion,
+  .wrench_rows = wrench_rows,
+  .solve_dense = solve_dense,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,
 };

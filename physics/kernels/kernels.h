@@ -65,6 +65,12 @@ struct kg_physics_kernels {
   /* inverse of `one` over vectors; NULL where they are too narrow to gain */
   void (*inverse)(const kg_model *model, double *tau, const double *q, const double *v,
                   const double *a);
+  /* see wrenches.inc */
+  void (*add_motion)(double *X, const double *parent, const kg_mat63 *T, const double *Y,
+                     int stride);
+  void (*wrench_rows)(double *B, const double *K, const double *D, const double *xi,
+                      const double *nu, int stride);
+  bool (*solve_dense)(double *B, int n, int stride, double *x);
   const kg_number_kernels *one;
   const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
 };

@@ -1,0 +1,93 @@
+/* Inside physics/: one Newton iteration of the step with contact solved on its own
+ * (docs/theory/contact.md, section 4; equation numbers from there). The body is linearised about a
+ * trial v'; what is left is a small non-linear problem in the wrenches on the few segments near the
+ * ground, its slots.
+ *
+ * small_body.c: the slots and how they yield. small_problem.c: the law and the solution. */
+#ifndef PHYSICS_SMALL_PROBLEM_H
+#define PHYSICS_SMALL_PROBLEM_H
+
+#include "physics/step_problem.h"
+
+/* Where a point is, how fast, and the force on it; x relative to O. */
+typedef struct kg_point_state {
+  kg_vec3 x, u, f;
+} kg_point_state;
+
+/* A point that may touch. */
+typedef struct kg_candidate {
+  int point, slot;
+  kg_point_state trial;            /* at the trial v'; f: what the body was linearised with     */
+  kg_point_state now;              /* iterate: x and u follow from all f by the linear body     */
+  kg_point_state old, next;        /* the iterate before; a whole iteration on                  */
+  kg_point_state good;             /* solution of an easier problem                             */
+  kg_vec3 x_law, u_law;            /* where the law is linearised                               */
+  kg_contact_force law;            /* there                                                     */
+  double yield_n, yield_t;         /* velocity per force of the point alone, m/s per N          */
+  double bound;                    /* of friction over mu, N; < 0: the normal force             */
+  double next_bound, change, gain; /* search for the bounds that are normal forces       */
+} kg_candidate;
+
+/* 6x6, row-major */
+typedef struct kg_small_block {
+  double m[36];
+} kg_small_block;
+
+typedef struct kg_small_problem {
+  int slots, count;
+  int stride;                 /* of rows of 6 * slots numbers, a multiple of 8                  */
+  int *segment;               /* of a slot                                                      */
+  int *slot_of;               /* (n) or -1                                                      */
+  int *blocks, block_count;   /* on the paths to the slots, ascending                           */
+  bool *on_path;              /* (n + 1)                                                        */
+  kg_candidate *candidates;   /* (points)                                                       */
+  kg_vec3 *force;             /* (points) to linearise with                                     */
+  double *Y;                  /* (nv, stride) A^-1 S' of unit wrenches on the slots             */
+  double *xi, *nu;            /* (n + 1, 6, stride) what these do: twist, change of velocity    */
+  kg_motion *xi0, *nu0;       /* (slots) without any change of wrenches                         */
+  kg_motion *xi_now, *nu_now; /* (slots) scratch                                              */
+  kg_small_block *K, *D;      /* (slots) (13) of the law alone                                */
+  double *B;                  /* (6 slots, stride) Jacobian of the small problem                */
+  double *h;                  /* (6 slots) change of the wrenches                               */
+  double *rest;               /* (6 slots) scratch                                              */
+  double *free, *G;           /* (nv) change of v' without h; scratch                           */
+  double tolerance;           /* kg^1/2 m/s                                                     */
+} kg_small_problem;
+
+/* Memory from the arena; check kg_arena_failed. */
+kg_small_problem *kg_small_create(const kg_body *body, kg_arena *arena);
+
+/* ---- small_body.c ---- */
+
+/* Forces to start from: those at (q, v) of the step. Leaves the links there. */
+void kg_small_begin(kg_step *s);
+/* Lists slots and candidates about x, where the step must be evaluated, and linearises the body there
+ * with the forces p->force; s->J holds the factors, rhs[nv] the right-hand side without h. False:
+ * singular. damping: of diag(M) / dt, added to the Jacobian. */
+bool kg_small_linearize(kg_step *s, double damping, double *rhs);
+/* S'h of the slots added to rhs[nv]. */
+void kg_small_add_wrenches(const kg_step *s, const double *h, double *rhs);
+/* The same of one wrench. */
+void kg_small_add_wrench(const kg_step *s, int segment, kg_force wrench, double *rhs);
+
+/* ---- small_problem.c ---- */
+
+typedef enum kg_small_result {
+  KG_SMALL_SOLVED,
+  KG_SMALL_BOUNDED, /* with friction bounded by other forces than the normal ones */
+  KG_SMALL_FAILED
+} kg_small_result;
+
+typedef struct kg_small_report {
+  int iterations; /* of the small problem                              */
+  int cuts;       /* halvings of its steps                             */
+  bool fallback;  /* softer laws or bounded friction were needed       */
+  bool exact;     /* the law itself was solved; else bounded friction  */
+} kg_small_report;
+
+/* d[nv]: change of v' from x, where the residual of the step is `merit`. False: no direction. Adds to
+ * the report, `exact` is set. */
+bool kg_small_direction(kg_step *s, double *d, const double *x, double merit, double damping,
+                        kg_small_report *report);
+
+#endif
