@@ -124,6 +124,7 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   made.moved = KG_ARENA_ARRAY(&arena, kg_mat63, n + 1);
   made.sum = KG_ARENA_ARRAY(&arena, kg_composite, n + 1);
   made.pencil = KG_ARENA_ARRAY(&arena, kg_pencil, n + 1);
+  made.G = KG_ARENA_ARRAY(&arena, kg_rows, n + 1);
   kg_tree_init(&made.tree, body, &arena);
   kg_chain_init(&made.chain, body, &arena);
   kg_tree_matrix_init(&made.A, &made.tree, &arena);

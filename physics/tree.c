@@ -6,6 +6,21 @@
 
 #include <string.h>
 
+static void list_descendants(kg_tree *tree)
+{
+  int listed = 0;
+  for (int a = 0; a < tree->blocks; a++) {
+    tree->below_start[a] = listed;
+    for (int b = a + 1; b < tree->blocks; b++) {
+      const int deep = tree->depth[a];
+      if (tree->depth[b] > deep && tree->path[tree->start[b] + deep] == a) {
+        tree->below[listed++] = b;
+      }
+    }
+  }
+  tree->below_start[tree->blocks] = listed;
+}
+
 /* One number of padding at least, so that rows may be written four numbers at a time. */
 static void lay_out_panels(kg_tree *tree)
 {
@@ -22,6 +37,7 @@ void kg_tree_init(kg_tree *tree, const kg_body *body, kg_arena *arena)
   *tree = (kg_tree){.blocks = blocks,
                     .depth = KG_ARENA_ARRAY(arena, int, blocks),
                     .start = KG_ARENA_ARRAY(arena, int, blocks),
+                    .below_start = KG_ARENA_ARRAY(arena, int, blocks + 1),
                     .width = KG_ARENA_ARRAY(arena, int, blocks),
                     .panel = KG_ARENA_ARRAY(arena, int, blocks),
                     .work = KG_ARENA_ARRAY(arena, double, 24 * blocks),
@@ -36,6 +52,7 @@ void kg_tree_init(kg_tree *tree, const kg_body *body, kg_arena *arena)
   }
   tree->entries = tree->start[blocks - 1] + tree->depth[blocks - 1] + 1;
   tree->path = KG_ARENA_ARRAY(arena, int, tree->entries);
+  tree->below = KG_ARENA_ARRAY(arena, int, tree->entries);
   if (kg_arena_failed(arena)) {
     return;
   }
@@ -45,6 +62,7 @@ void kg_tree_init(kg_tree *tree, const kg_body *body, kg_arena *arena)
     memcpy(row, tree->path + tree->start[parent], (size_t)tree->depth[b] * sizeof *row);
     row[tree->depth[b]] = b;
   }
+  list_descendants(tree);
   lay_out_panels(tree);
 }
 

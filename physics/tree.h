@@ -16,11 +16,14 @@
 typedef struct kg_physics_kernels kg_physics_kernels;
 
 typedef struct kg_tree {
-  int blocks;   /* n + 1                                                                        */
-  int entries;  /* blocks on and below the diagonal                                             */
-  int *depth;   /* proper ancestors of a block                                                  */
-  int *start;   /* path of block b: path[start[b]] .. path[start[b] + depth[b]]                 */
-  int *path;    /* from the root to b, b itself last                                            */
+  int blocks;  /* n + 1                                                                        */
+  int entries; /* blocks on and below the diagonal                                             */
+  int *depth;  /* proper ancestors of a block                                                  */
+  int *start;  /* path of block b: path[start[b]] .. path[start[b] + depth[b]]                 */
+  int *path;   /* from the root to b, b itself last                                            */
+  int *
+    below_start; /* descendants of block b: below[below_start[b]] to below[below_start[b + 1] - 1] */
+  int *below;
   int *width;   /* of one row of the panels of a block, a multiple of 8                         */
   int *panel;   /* where the panels of a block begin                                            */
   int size;     /* numbers in all panels of one kind                                            */
@@ -126,6 +129,7 @@ struct kg_dynamics {
   kg_mat63 *moved;   /* psi + S moved with the segment itself       */
   kg_composite *sum; /* blocks */
   kg_pencil *pencil; /* blocks */
+  kg_rows *G;        /* blocks: (2 B)' S of the rows of the dense derivatives */
   kg_tree tree;
   kg_chain chain;      /* motion and its adjoints, chain.h      */
   kg_tree_matrix A, M; /* scratch of derivatives */

@@ -57,8 +57,8 @@ struct kg_physics_kernels {
   void (*jacobian)(const kg_dynamics *d, kg_tree_matrix *A);
   void (*mass_matrix)(const kg_dynamics *d, kg_tree_matrix *A);
   /* dense nv x nv, each may be NULL */
-  void (*derivatives)(const kg_dynamics *d, double *by_q, double *by_v, double *by_a);
-  void (*dense_mass)(const kg_dynamics *d, double *M);
+  void (*derivatives)(kg_dynamics *d, double *by_q, double *by_v, double *by_a);
+  void (*dense_mass)(kg_dynamics *d, double *M);
   /* width numbers of eight frames: row[f] is one after the other, lanes side by side */
   void (*to_lanes)(double *lanes, const double *const row[8], int width);
   void (*from_lanes)(double *const row[8], const double *lanes, int width);
