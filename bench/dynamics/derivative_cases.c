@@ -8,7 +8,7 @@
  *   acceleration  in flight, derivatives of (v' - v) / dt as dt goes to zero (Richardson's
  *                 extrapolation over three lengths) with those of M^-1 (tau - damping v - bias); in
  *                 contact the two engines follow different laws
- *   step          derivatives of v' with central differences of kg_step_advance, extrapolated
+ *   step          derivatives of v' with central differences, extrapolated, of solutions by dense LU
  *   gradient      the transposed product with the same differences */
 #include <math.h>
 #include <stdio.h>
@@ -18,6 +18,7 @@
 #include "bench/dynamics/cases.h"
 #include "bench/dynamics/reference.h"
 #include "bench/dynamics/scenes.h"
+#include "kinegrad/dense.h"
 
 /* s, the longest of three: damping of 2 N m s/rad stops a hand within 1e-4 s */
 static const double LIMIT_STEP = 2e-6;
@@ -48,15 +49,58 @@ static void close(kg_bench_problem *problem)
   free(p);
 }
 
-/* A step with a tolerance for differences of its results. */
-static kg_status precise_step(kg_step **step, const kg_bench_scene *scene)
+/* Newton's method with dense factors on the equation of a step: differences of its solution need more
+ * digits than a step is asked for. */
+typedef struct precise {
+  kg_step *step;
+  double *G, *J, *turn; /* nv, nv^2, nv */
+  int *pivots;
+} precise;
+
+static void precise_close(precise *s)
 {
-  kg_step_def def = kg_bench_scene_step_def(scene, NULL);
-  def.tolerance = 1e-11;
-  return kg_step_create(step, &def);
+  kg_step_destroy(s->step);
+  free(s->G);
+  free(s->pivots);
 }
 
-static kg_status fill(step_problem *p, kg_step *step, double *M)
+static kg_status precise_open(precise *s, const step_problem *p)
+{
+  const size_t nv = (size_t)p->nv;
+  const kg_step_def def = kg_bench_scene_step_def(&p->scene, NULL);
+  *s = (precise){.G = malloc((2 * nv + nv * nv) * sizeof *s->G),
+                 .pivots = malloc(nv * sizeof *s->pivots)};
+  const kg_status status = s->G && s->pivots ? kg_step_create(&s->step, &def) : KG_ERR_NO_MEMORY;
+  if (status != KG_OK) {
+    precise_close(s);
+    return status;
+  }
+  s->turn = s->G + nv;
+  s->J = s->turn + nv;
+  return KG_OK;
+}
+
+/* The solution near v_next, and the pose that the step ends in. */
+static bool solve_precisely(precise *s, const step_problem *p, double *q_next, double *v_next,
+                            const double *q, const double *v, const double *tau)
+{
+  const double dt = p->scene.dt;
+  for (int k = 0; k < 4; k++) {
+    kg_step_residual(s->step, s->G, s->J, v_next, q, v, tau, dt, NULL);
+    if (!kg_dense_lu_factor(s->J, s->pivots, p->nv)) {
+      return false;
+    }
+    kg_dense_lu_solve(s->J, s->pivots, p->nv, s->G, 1);
+    for (int r = 0; r < p->nv; r++) {
+      v_next[r] -= s->G[r];
+      s->turn[r] = dt * v_next[r];
+    }
+  }
+  kg_body_integrate(p->scene.model.body, q_next, q, s->turn);
+  return true;
+}
+
+static kg_status fill(step_problem *p, precise *solver)
 {
   const kg_bench_scene *s = &p->scene;
   kg_dynamics *d = NULL;
@@ -64,35 +108,36 @@ static kg_status fill(step_problem *p, kg_step *step, double *M)
   if (status != KG_OK) {
     return status;
   }
-  kg_dynamics_mass_matrix(d, M, s->q);
+  kg_dynamics_mass_matrix(d, solver->J, s->q);
   kg_dynamics_destroy(d);
   kg_random random = kg_random_make(99);
   for (int k = 0; k < p->nv; k++) {
-    p->inertia[k] = M[k * p->nv + k];
+    p->inertia[k] = solver->J[k * p->nv + k];
     p->q_bar[k] = kg_random_normal(&random);
     p->v_bar[k] = kg_random_normal(&random);
   }
   kg_step_report report;
-  kg_step_advance(step, p->q_next, p->v_next, s->q, s->v, s->tau, s->dt, false, &report);
-  return report.converged && report.substeps == 1 ? KG_OK : KG_ERR_UNDEFINED;
+  kg_step_advance(solver->step, p->q_next, p->v_next, s->q, s->v, s->tau, s->dt, false, &report);
+  const bool is_plain = report.converged && report.substeps == 1;
+  return is_plain && solve_precisely(solver, p, p->q_next, p->v_next, s->q, s->v, s->tau)
+           ? KG_OK
+           : KG_ERR_UNDEFINED;
 }
 
 static kg_status prepare(step_problem *p)
 {
   const size_t nv = (size_t)p->nv, nq = (size_t)p->scene.model.body->nq;
+  precise solver;
   p->v_next = calloc(4 * nv + nq, sizeof *p->v_next);
-  double *M = malloc(nv * nv * sizeof *M);
-  kg_step *step = NULL;
-  kg_status status = p->v_next && M ? precise_step(&step, &p->scene) : KG_ERR_NO_MEMORY;
+  kg_status status = p->v_next ? precise_open(&solver, p) : KG_ERR_NO_MEMORY;
   if (status == KG_OK) {
     p->q_bar = p->v_next + nv;
     p->v_bar = p->q_bar + nv;
     p->inertia = p->v_bar + nv;
     p->q_next = p->inertia + nv;
-    status = fill(p, step, M);
+    status = fill(p, &solver);
+    precise_close(&solver);
   }
-  kg_step_destroy(step);
-  free(M);
   return status;
 }
 
@@ -147,26 +192,27 @@ static void move(moved *x, const step_problem *p, int k, double by)
 
 /* d (q', v') by argument k: central differences of two widths, extrapolated; q' in the tangent space
  * of q_next. */
-static void difference(const step_problem *p, kg_step *step, moved *x, int k, double *dq,
+static bool difference(const step_problem *p, precise *solver, moved *x, int k, double *dq,
                        double *dv, double *q_end, double *v_end)
 {
-  const kg_bench_scene *s = &p->scene;
+  const double width = DIFFERENCE * (k < 2 * p->nv ? 1.0 : p->inertia[k % p->nv] / p->scene.dt);
   memset(dq, 0, (size_t)p->nv * sizeof *dq);
   memset(dv, 0, (size_t)p->nv * sizeof *dv);
   for (int side = 0; side < 4; side++) {
-    const double width = DIFFERENCE * (k < 2 * p->nv ? 1.0 : p->inertia[k % p->nv] / s->dt);
-    const double by = (side % 2 == 0 ? 1.0 : -1.0) * (side < 2 ? width : 0.5 * width);
-    const double weight =
-      (side < 2 ? -1.0 / 6.0 : 8.0 / 6.0) * (side % 2 == 0 ? 1.0 : -1.0) / width;
-    move(x, p, k, by);
+    const double sign = side % 2 == 0 ? 1.0 : -1.0;
+    const double weight = sign * (side < 2 ? -1.0 / 6.0 : 8.0 / 6.0) / width;
+    move(x, p, k, sign * (side < 2 ? width : 0.5 * width));
     memcpy(v_end, p->v_next, (size_t)p->nv * sizeof *v_end);
-    kg_step_advance(step, q_end, v_end, x->q, x->v, x->tau, s->dt, true, NULL);
-    kg_body_difference(s->model.body, x->turn, q_end, p->q_next);
+    if (!solve_precisely(solver, p, q_end, v_end, x->q, x->v, x->tau)) {
+      return false;
+    }
+    kg_body_difference(p->scene.model.body, x->turn, q_end, p->q_next);
     for (int r = 0; r < p->nv; r++) {
       dq[r] += weight * x->turn[r];
       dv[r] += weight * v_end[r];
     }
   }
+  return true;
 }
 
 /* dv'/d(q, v, tau), then the gradient. */
@@ -174,19 +220,23 @@ static kg_status reference_step(const step_problem *p, double *answer)
 {
   const size_t nv = (size_t)p->nv, nq = (size_t)p->scene.model.body->nq;
   double *work = malloc((6 * nv + 2 * nq) * sizeof *work), *gradient = answer + 3 * nv * nv;
-  kg_step *step = NULL;
-  kg_status status = work ? precise_step(&step, &p->scene) : KG_ERR_NO_MEMORY;
+  precise solver;
+  kg_status status = work ? precise_open(&solver, p) : KG_ERR_NO_MEMORY;
+  if (status != KG_OK) {
+    free(work);
+    return status;
+  }
   moved x = {work, work + nq, work + nq + nv, work + nq + 2 * nv};
   double *dq = x.turn + nv, *dv = dq + nv, *v_end = dv + nv, *q_end = v_end + nv;
   for (int k = 0; k < 3 * p->nv && status == KG_OK; k++) {
-    difference(p, step, &x, k, dq, dv, q_end, v_end);
+    status = difference(p, &solver, &x, k, dq, dv, q_end, v_end) ? KG_OK : KG_ERR_UNDEFINED;
     gradient[k] = 0.0;
     for (size_t r = 0; r < nv; r++) {
       answer[(size_t)(k / p->nv) * nv * nv + r * nv + (size_t)(k % p->nv)] = dv[r];
       gradient[k] += p->q_bar[r] * dq[r] + p->v_bar[r] * dv[r];
     }
   }
-  kg_step_destroy(step);
+  precise_close(&solver);
   free(work);
   return status;
 }

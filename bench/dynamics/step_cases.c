@@ -223,10 +223,10 @@ static engine *engine_of(const kg_bench_scene *of, const engine_calls *calls)
   return e;
 }
 
-/* The limit of short steps needs v' to more digits than steps of 1/120 s do. */
+/* The limit of short steps, in flight, needs v' to more digits than steps of 1/120 s do. */
 static kg_status answer_precisely(engine *e, kg_step_def def)
 {
-  def.tolerance = 1e-12;
+  def.tolerance = e->of->situation == KG_BENCH_FLIGHT ? 1e-12 : def.tolerance;
   const kg_status status = kg_step_create(&e->step, &def);
   if (status == KG_OK) {
     prepare_answer(e);
