@@ -194,7 +194,9 @@ static void solve_unit_wrenches(kg_step *s)
 {
   kg_small_problem *p = s->small;
   const kg_tree *tree = &s->dynamics->tree;
-  memset(p->Y, 0, (size_t)s->def.body->nv * (size_t)p->stride * sizeof *p->Y);
+  for (int k = 0; k < p->block_count; k++) {
+    memset(p->Y + 3 * p->blocks[k] * p->stride, 0, 3 * (size_t)p->stride * sizeof *p->Y);
+  }
   for (int j = 0; j < p->slots; j++) {
     const int leaf = p->segment[j] + 1;
     for (int e = tree->start[leaf]; e <= tree->start[leaf] + tree->depth[leaf]; e++) {
@@ -207,7 +209,7 @@ static void solve_unit_wrenches(kg_step *s)
       }
     }
   }
-  kg_tree_solve_many(tree, &s->J, p->Y, p->stride);
+  kg_tree_solve_many_within(tree, &s->J, p->Y, p->stride, p->blocks, p->block_count);
 }
 
 /* xi, nu = sums of T Y, U Y from the root to every block on a path */

@@ -134,13 +134,19 @@ void kg_tree_solve_transposed(const kg_tree *tree, const kg_tree_matrix *A, doub
 
 void kg_tree_solve_many(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns)
 {
-  tree->kernels->solve_many(tree, A, X, columns);
+  tree->kernels->solve_many(tree, A, X, columns, NULL, 0);
+}
+
+void kg_tree_solve_many_within(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns,
+                               const int *blocks, int count)
+{
+  tree->kernels->solve_many(tree, A, X, columns, blocks, count);
 }
 
 void kg_tree_solve_transposed_many(const kg_tree *tree, const kg_tree_matrix *A, double *X,
                                    int columns)
 {
-  tree->kernels->solve_transposed_many(tree, A, X, columns);
+  tree->kernels->solve_transposed_many(tree, A, X, columns, NULL, 0);
 }
 
 /* Columns of the path of block b: a row of the lower panel lies in the same row of out, a row of

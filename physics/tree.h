@@ -21,8 +21,7 @@ typedef struct kg_tree {
   int *depth;  /* proper ancestors of a block                                                  */
   int *start;  /* path of block b: path[start[b]] .. path[start[b] + depth[b]]                 */
   int *path;   /* from the root to b, b itself last                                            */
-  int *
-    below_start; /* descendants of block b: below[below_start[b]] to below[below_start[b + 1] - 1] */
+  int *below_start; /* descendants of block b: below[below_start[b]] up to the start of b + 1  */
   int *below;
   int *width;   /* of one row of the panels of a block, a multiple of 8                         */
   int *panel;   /* where the panels of a block begin                                            */
@@ -66,6 +65,11 @@ void kg_tree_solve_transposed(const kg_tree *tree, const kg_tree_matrix *A, doub
 void kg_tree_solve_many(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns);
 void kg_tree_solve_transposed_many(const kg_tree *tree, const kg_tree_matrix *A, double *X,
                                    int columns);
+/* The same for X that is zero outside some blocks, and only the solution's rows of these blocks:
+ * count blocks in ascending order, every one with all its ancestors. The other rows of X are
+ * neither read nor written. */
+void kg_tree_solve_many_within(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns,
+                               const int *blocks, int count);
 /* out[nv*nv] row-major, zeros outside the pattern. */
 void kg_tree_to_dense(const kg_tree *tree, const kg_tree_matrix *A, double *out);
 

@@ -46,9 +46,11 @@ struct kg_physics_kernels {
   bool (*factor)(const kg_tree *tree, kg_tree_matrix *A);
   void (*solve)(const kg_tree *tree, const kg_tree_matrix *A, double *x);
   void (*solve_transposed)(const kg_tree *tree, const kg_tree_matrix *A, double *x);
-  void (*solve_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns);
+  /* blocks NULL: all */
+  void (*solve_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns,
+                     const int *blocks, int count);
   void (*solve_transposed_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X,
-                                int columns);
+                                int columns, const int *blocks, int count);
   size_t link_scratch; /* bytes of model->scratch for each link */
   void (*move)(kg_dynamics *d, const double *q, const double *v, const double *a);
   void (*prepare)(kg_dynamics *d);
