@@ -89,7 +89,8 @@ static kg_status push(const kg_bench_scene *s, kg_dynamics *d, kg_random *random
   kg_dynamics_mass_matrix(d, M, s->q);
   for (int n = KG_BENCH_STEPS - 1; n >= 0; n--) { /* the first row, what holds, changes last */
     for (int k = 0; k < nv; k++) {
-      const double noise = k < 6 ? 0.0 : PUSH * M[k * nv + k] * kg_random_normal(random);
+      const double size = k < 6 || s->situation == KG_BENCH_HELD ? 0.0 : PUSH;
+      const double noise = size * M[k * nv + k] * kg_random_normal(random);
       s->tau[n * nv + k] = s->tau[k] + noise;
     }
   }

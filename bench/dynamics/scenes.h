@@ -7,7 +7,8 @@
 
 typedef enum kg_bench_situation {
   KG_BENCH_FLIGHT,   /* turning and moving every joint, nothing near */
-  KG_BENCH_STANDING, /* on its soles, settled, then pushed a little  */
+  KG_BENCH_STANDING, /* on its soles, settled, then pushed every step */
+  KG_BENCH_HELD,     /* the same without pushes                       */
   KG_BENCH_LYING     /* on its back, likewise                        */
 } kg_bench_situation;
 

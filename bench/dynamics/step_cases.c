@@ -412,7 +412,7 @@ static const kg_bench_contestant flying[] = ENGINES(1), touching[] = ENGINES(3);
 static const kg_bench_pair aimed_pairs[] = STEP_PAIRS(1.0 / 3.0), free_pairs[] = STEP_PAIRS(0.0);
 
 static const kg_bench_situation flight = KG_BENCH_FLIGHT, standing = KG_BENCH_STANDING,
-                                lying = KG_BENCH_LYING;
+                                held = KG_BENCH_HELD, lying = KG_BENCH_LYING;
 
 /* clang-format off */
 #define CASE(title, situation, tolerated, table, ratios)                                           \
@@ -427,5 +427,6 @@ static const kg_bench_situation flight = KG_BENCH_FLIGHT, standing = KG_BENCH_ST
 const kg_bench_case kg_bench_step_cases[BENCH_STEP_CASES] = {
   CASE("step_flight", flight, 1e-6, flying, aimed_pairs),
   CASE("step_standing", standing, 0.02, touching, aimed_pairs),
+  CASE("step_standing_still", held, 0.02, touching, aimed_pairs),
   CASE("step_lying", lying, 0.02, touching, free_pairs),
 };
