@@ -1,5 +1,5 @@
-/* Every row of `kinegrad bench dynamics` and `step` on the synthetic skeletons: kinegrad, MuJoCo where
- * it is installed, and the reference give one answer. Nothing is timed. */
+/* Every row of `kinegrad bench dynamics` and `step` on the synthetic skeletons: kinegrad, MuJoCo
+ * where it is installed, and the reference give one answer. Nothing is timed. */
 #include "support.h"
 
 #include "bench/bench.h"

@@ -1,6 +1,6 @@
-/* The dynamics of bodies of 23 and 37 segments against MuJoCo, through the MJCF file that the library writes.
- * Conventions agree: free joint with linear velocity in world axes and angular velocity in the
- * root's, ball joints with relative angular velocity in the child's frame. */
+/* The dynamics of bodies of 23 and 37 segments against MuJoCo, through the MJCF file that the
+ * library writes. Conventions agree: free joint with linear velocity in world axes and angular
+ * velocity in the root's, ball joints with relative angular velocity in the child's frame. */
 #include "support.h"
 
 #include <unistd.h>

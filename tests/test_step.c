@@ -120,8 +120,9 @@ static void jacobian_matches_differences(void **state)
   kg_body_destroy(body);
 }
 
-/* Central differences err with the square of their width until rounding takes over: four widths, each
- * a quarter of the one before, along a random direction. The first is as large as kinks allow. */
+/* Central differences err with the square of their width until rounding takes over: four widths,
+ * each a quarter of the one before, along a random direction. The first is as large as kinks
+ * allow. */
 static void differences_of_four_widths_approach_the_jacobian(void **state)
 {
   (void)state;

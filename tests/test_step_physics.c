@@ -1,6 +1,6 @@
-/* The implicit step against mechanics: closed forms of flight, tops and pendulums, blocks that stand,
- * slide, stick, fall and bounce, the order of the integrator. Every number that a test claims is
- * printed. */
+/* The implicit step against mechanics: closed forms of flight, tops and pendulums, blocks that
+ * stand, slide, stick, fall and bounce, the order of the integrator. Every number that a test
+ * claims is printed. */
 #include "fixture_body.h"
 
 #include "kinegrad/step.h"
@@ -56,8 +56,9 @@ static kg_vec3 total_force(const kg_step_report *report)
   return sum;
 }
 
-/* Prints the error of each of a series of runs whose step halves, and the orders between them, which
- * must be one to a tenth, and the last to a hundredth: an error that does not go to zero shows. */
+/* Prints the error of each of a series of runs whose step halves, and the orders between them,
+ * which must be one to a tenth, and the last to a hundredth: an error that does not go to zero
+ * shows. */
 static void assert_first_order(const char *what, const double *error, int count)
 {
   print_message("%s: errors", what);
@@ -677,7 +678,7 @@ static fall let_fall(const kg_step_def *def, double *q, double *v, double dt, in
   return f;
 }
 
-/* From above, tilted, sliding and turning, with short steps and with the longest that are in use. */
+/* From above, tilted, sliding and turning, with short steps and with the longest in use. */
 static void drop_rod(double dt)
 {
   const kg_vec3 half = {0.5, 0.02, 0.03};

@@ -1,14 +1,14 @@
 /* Derivatives of one step beside MuJoCo's finite differences, and of a whole run beside the run.
  *
- * Timed: what follows a step of 1/120 s that has been taken, all derivatives of (q', v') by q, v and
- * tau, or one product with their transpose; MuJoCo's mjd_transitionFD for the same derivatives
+ * Timed: what follows a step of 1/120 s that has been taken, all derivatives of (q', v') by q, v
+ * and tau, or one product with their transpose; MuJoCo's mjd_transitionFD for the same derivatives
  * (`implicit`, a motor for each degree of freedom, one-sided differences).
  *
  * Compared:
  *   acceleration  in flight, derivatives of (v' - v) / dt as dt goes to zero (Richardson's
  *                 extrapolation over three lengths) with those of M^-1 (tau - damping v - bias); in
  *                 contact the two engines follow different laws
- *   step          derivatives of v' with central differences, extrapolated, of solutions by dense LU
+ *   step          derivatives of v' with extrapolated central differences of solutions by dense LU
  *   gradient      the transposed product with the same differences */
 #include <math.h>
 #include <stdio.h>
@@ -49,8 +49,8 @@ static void close(kg_bench_problem *problem)
   free(p);
 }
 
-/* Newton's method with dense factors on the equation of a step: differences of its solution need more
- * digits than a step is asked for. */
+/* Newton's method with dense factors on the equation of a step: differences of its solution need
+ * more digits than a step is asked for. */
 typedef struct precise {
   kg_step *step;
   double *G, *J, *turn; /* nv, nv^2, nv */
@@ -190,8 +190,8 @@ static void move(moved *x, const step_problem *p, int k, double by)
   kg_body_integrate(s->model.body, x->q, s->q, x->turn);
 }
 
-/* d (q', v') by argument k: central differences of two widths, extrapolated; q' in the tangent space
- * of q_next. */
+/* d (q', v') by argument k: central differences of two widths, extrapolated; q' in the tangent
+ * space of q_next. */
 static bool difference(const step_problem *p, precise *solver, moved *x, int k, double *dq,
                        double *dv, double *q_end, double *v_end)
 {

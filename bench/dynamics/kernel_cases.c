@@ -1,8 +1,8 @@
 /* Kinematics and dynamics of bodies in random states beside MuJoCo's pipeline.
  *
  * Both sides start from q, v, a or tau alone: MuJoCo's times include the stages that its mj_rne,
- * mj_crb or mj_factorM build on. Times are those of one state. Answers: a part per result, one row a
- * state; entries of tau and a are compared by degree of freedom. */
+ * mj_crb or mj_factorM build on. Times are those of one state. Answers: a part per result, one row
+ * a state; entries of tau and a are compared by degree of freedom. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>

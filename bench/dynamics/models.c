@@ -1,6 +1,6 @@
-/* The synthetic skeleton is written as BVH text and read back, so that a body is made from it the way
- * it is made from any clip. Proportions: R. Drillis, R. Contini, Body segment parameters, 1966, for
- * 1.74 m. */
+/* The synthetic skeleton is written as BVH text and read back, so that a body is made from it the
+ * way it is made from any clip. Proportions: R. Drillis, R. Contini, Body segment parameters,
+ * 1966, for 1.74 m. */
 #include "bench/dynamics/models.h"
 
 #include <stdarg.h>

@@ -1,5 +1,5 @@
-/* Dynamics of a body from the definitions, for comparison: slow, dense, over complex numbers, so that
- * an imaginary step gives derivatives to the last digits. Shares no code with physics/. */
+/* Dynamics of a body from the definitions, for comparison: slow, dense, over complex numbers, so
+ * that an imaginary step gives derivatives to the last digits. Shares no code with physics/. */
 #ifndef BENCH_DYNAMICS_REFERENCE_H
 #define BENCH_DYNAMICS_REFERENCE_H
 

@@ -1,8 +1,9 @@
 /* A run of 500 steps of 1/120 s, and the gradient of its end with respect to all torques.
  *
- * The body has springs and dampers in its joints and is pushed by torques that change every step. From
- * its feet it sways, gives way and comes to lie; in flight it falls all the time. Times are those of
- * a step: kg_rollout_run, and kg_rollout_vjp after a run, with all states kept or with checkpoints.
+ * The body has springs and dampers in its joints and is pushed by torques that change every step.
+ * From its feet it sways, gives way and comes to lie; in flight it falls all the time. Times are
+ * those of a step: kg_rollout_run, and kg_rollout_vjp after a run, with all states kept or with
+ * checkpoints.
  *
  * Compared: the gradient along three series of torques, with tangents carried forward by the full
  * derivatives of every step. */

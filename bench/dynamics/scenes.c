@@ -22,8 +22,8 @@ kg_step_def kg_bench_scene_step_def(const kg_bench_scene *scene, const kg_alloca
   return def;
 }
 
-/* All rotations the identity (the pose the skeleton was drawn in), on its back when lying, its lowest
- * point 3 mm above the ground; in flight high above it. */
+/* All rotations the identity (the pose the skeleton was drawn in), on its back when lying, its
+ * lowest point 3 mm above the ground; in flight high above it. */
 static void place(const kg_bench_scene *s, kg_dynamics *d)
 {
   const kg_body *body = s->model.body;

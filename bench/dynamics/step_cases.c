@@ -1,14 +1,15 @@
 /* Steps of a body in flight, standing and lying beside MuJoCo.
  *
- * Timed: a run of 16 steps of 1/120 s from one start under one series of torques; times are those of
- * a step. Each engine follows its own trajectory and starts each step where it ended the last.
+ * Timed: a run of 16 steps of 1/120 s from one start under one series of torques; times are those
+ * of a step. Each engine follows its own trajectory and starts each step where it ended the last.
  *
  * Compared, where two laws of contact and two integrators must agree:
  *   flight    the acceleration at the start, from the first step's v' as its length goes to zero
  *             (Richardson's extrapolation over three lengths), with M^-1 (tau - damping v - bias)
  *   contact   the vertical impulse of the engine's contact forces over the change of momentum plus
- *             weight times time, which is 1, for steps 16 times shorter; how far the centre of mass rose or fell during the
- *             run, as a share of the stature (given as 1 + share, so that the reference is 1) */
+ *             weight times time, which is 1, for steps 16 times shorter; how far the centre of mass
+ *             rose or fell during the run, as a share of the stature (given as 1 + share, so that
+ *             the reference is 1) */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
