@@ -1,4 +1,4 @@
-/* Derivatives of one step beside MuJoCo's finite differences, and of a whole run beside the run.
+/* Derivatives of one step beside MuJoCo's finite differences.
  *
  * Timed: what follows a step of 1/120 s that has been taken, all derivatives of (q', v') by q, v
  * and tau, or one product with their transpose; MuJoCo's mjd_transitionFD for the same derivatives
