@@ -4,6 +4,7 @@
  * at d = 0 (docs/theory/dynamics.md). Positions near the ground are measured in layers of the
  * contact law, velocities there in stick velocities, so that one step fits all of them. */
 #include "cli/gradcheck.h"
+#include "cli/gradcheck_operators.h"
 
 #include <math.h>
 #include <string.h>
@@ -28,6 +29,7 @@ struct cli_models {
   kg_dynamics *dynamics;
   kg_step *step;
   kg_correction *correction;
+  cli_operators *operators;
   double dt;
   int shape;
   double *q, *moved, *v, *a; /* the state of the point */
@@ -382,14 +384,17 @@ static const model table[] = {
 };
 /* clang-format on */
 
+/* the rows of the table, then those of the operators */
+enum { MODELS = KG_COUNT_OF(table) };
+
 int cli_models_count(void)
 {
-  return (int)KG_COUNT_OF(table);
+  return MODELS + cli_operators_count();
 }
 
 const char *cli_models_name(int i)
 {
-  return table[i].name;
+  return i < MODELS ? table[i].name : cli_operators_name(i - MODELS);
 }
 
 static size_t size_of(const cli_models *m, int size)
@@ -427,10 +432,11 @@ static kg_status vjp(void *user, const double *x, const double *w, double *xw)
 
 /* One point. Where differences cannot decide, because the second derivative jumps nearby, another
  * one is drawn. */
+enum { DRAWS = 10 };
+
 static kg_status check_point(checked *c, double *x, const kg_gradcheck_def *def,
                              kg_gradcheck_report *report, kg_error *error)
 {
-  enum { DRAWS = 10 };
   const kg_differentiable function = {.name = c->row->name,
                                       .inputs = c->inputs,
                                       .outputs = c->outputs,
@@ -446,23 +452,63 @@ static kg_status check_point(checked *c, double *x, const kg_gradcheck_def *def,
   return status;
 }
 
-kg_status cli_models_check(cli_models *models, int i, int points, const kg_gradcheck_def *def,
-                           kg_gradcheck_report *report, kg_error *error)
+static kg_status check_model(cli_models *models, int i, const kg_gradcheck_def *def,
+                             kg_gradcheck_report *report, kg_error *error)
 {
   const model *row = &table[i];
   checked c = {models, row, size_of(models, row->inputs), size_of(models, row->outputs)};
-  const int count = row->inputs < 0 ? (points + 4) / 5 : points;
   const kg_arena_mark mark = kg_arena_mark_of(&models->arena);
   double *x = KG_ARENA_ARRAY(&models->arena, double, c.inputs);
-  models->random = kg_random_make(def->seed + 1000 + (uint64_t)i);
   models->shape = row->shape;
-  kg_status status = x ? check_point(&c, x, def, report, error) : KG_ERR_NO_MEMORY;
-  for (int point = 1; point < count && status == KG_OK; point++) {
-    kg_gradcheck_report one;
-    status = check_point(&c, x, def, &one, error);
-    if (status == KG_OK) kg_gradcheck_merge(report, &one);
-  }
+  const kg_status status = x ? check_point(&c, x, def, report, error) : KG_ERR_NO_MEMORY;
   kg_arena_rewind(&models->arena, mark);
+  return status;
+}
+
+static void prepare_operator(cli_models *m, int i)
+{
+  prepare_state(m);
+  if (cli_operators_in_contact(i)) {
+    set_down(m, m->contact.layer * (0.2 + 0.6 * kg_random_uniform(&m->random)));
+    for (size_t k = 0; k < nv_of(m); k++) {
+      m->v[k] = 3 * m->contact.stick * kg_random_normal(&m->random);
+    }
+  } else {
+    set_down(m, 1.0);
+  }
+}
+
+static kg_status check_operator(cli_models *m, int i, const kg_gradcheck_def *def,
+                                kg_gradcheck_report *report, kg_error *error)
+{
+  kg_status status = KG_OK;
+  report->undecided = true;
+  for (int draw = 0; draw < DRAWS && status == KG_OK && report->undecided; draw++) {
+    prepare_operator(m, i);
+    status = cli_operators_check(m->operators, i, m->q, m->v, m->a, def, report, error);
+  }
+  return status;
+}
+
+/* how many points a row is checked at, for so many asked */
+static int share_of(int i, int points)
+{
+  if (i >= MODELS) return (points + 19) / 20;
+  return table[i].inputs < 0 ? (points + 4) / 5 : points;
+}
+
+kg_status cli_models_check(cli_models *models, int i, int points, const kg_gradcheck_def *def,
+                           kg_gradcheck_report *report, kg_error *error)
+{
+  kg_status status = KG_OK;
+  models->random = kg_random_make(def->seed + 1000 + (uint64_t)i);
+  for (int point = 0; point < share_of(i, points) && status == KG_OK; point++) {
+    kg_gradcheck_report one;
+    kg_gradcheck_report *to = point == 0 ? report : &one;
+    status = i < MODELS ? check_model(models, i, def, to, error)
+                        : check_operator(models, i - MODELS, def, to, error);
+    if (status == KG_OK && point > 0) kg_gradcheck_merge(report, &one);
+  }
   return status;
 }
 
@@ -531,6 +577,7 @@ static kg_status create_machines(cli_models *m)
   step.scene = &m->ground;
   m->contact = step.contact;
   if (status == KG_OK) status = kg_step_create(&m->step, &step);
+  if (status == KG_OK) status = cli_operators_create(&m->operators, m->body, &m->ground, m->dt);
   const kg_correction_def correction = kg_correction_default_def(m->body, &m->ground);
   return status == KG_OK ? kg_correction_create(&m->correction, &correction) : status;
 }
@@ -575,6 +622,7 @@ kg_status cli_models_create(cli_models **models, const kg_subject *subject)
 void cli_models_destroy(cli_models *models)
 {
   if (!models) return;
+  cli_operators_destroy(models->operators);
   kg_correction_destroy(models->correction);
   kg_step_destroy(models->step);
   kg_dynamics_destroy(models->dynamics);

@@ -554,7 +554,8 @@ claim "gradcheck: the report is JSON" "$json_get" out/g.json checks.0.name check
 claim "gradcheck: a heading, a row for each check, a sum" \
   test "$(grep -c '  ok$' stdout.txt)" -eq "$(grep -o '"name"' out/g.json | wc -l)"
 claim "gradcheck: the sum is said" grep -Eq "^([0-9]+) of \1 passed$" stdout.txt
-for name in add matmul rotation_log "implicit primitive" checkpoint "contact force" "penetration loss"; do
+for name in add matmul rotation_log "implicit primitive" checkpoint "contact force" "penetration loss" \
+  inverse_dynamics "implicit_step in contact" dynamics_loss; do
   claim "gradcheck checks $name" grep -q "^$name  " stdout.txt
 done
 for key in name max_relative_error dot_test taylor_order passed; do
@@ -566,9 +567,9 @@ claim "gradcheck: the same seed gives the same bytes" cmp -s out/g.json out/h.js
 run 0 gradcheck --points 5 --seed 2 --json out/h.json
 claim "gradcheck: another seed gives other points" sh -c '! cmp -s out/g.json out/h.json'
 run 0 gradcheck --points 5 --filter MATMUL,step "$walk"
-claim "gradcheck: a filter of two words" test "$(grep -c '  ok$' stdout.txt)" -eq 4
+claim "gradcheck: a filter of two words" test "$(grep -c '  ok$' stdout.txt)" -eq 6
 run 0 gradcheck --points 5 --filter ,matmul,,step, "$walk"
-claim "gradcheck: stray commas mean nothing" test "$(grep -c '  ok$' stdout.txt)" -eq 4
+claim "gradcheck: stray commas mean nothing" test "$(grep -c '  ok$' stdout.txt)" -eq 6
 run 0 gradcheck --points 5 --filter sin --json -
 claim "gradcheck --json - is JSON alone" test "$(head -c 1 stdout.txt)" = "{"
 rm -f out/g.json out/h.json
