@@ -161,6 +161,32 @@ static bool find_direction(kg_step *s, const double *x, double m, double *dampin
   return found && small.exact;
 }
 
+/* More steps with the factors of the last Jacobian, as long as they promise to reach the tolerance in
+ * a few: in the air such a step costs a fifth of one with a new Jacobian. Returns the residual. */
+static double refine(kg_step *s, double *x, double m)
+{
+  const int nv = s->def.body->nv;
+  bool promising = true;
+  while (m > s->def.tolerance && promising) {
+    for (int k = 0; k < nv; k++) {
+      s->d[k] = -s->G[k];
+    }
+    kg_tree_solve(&s->dynamics->tree, &s->J, s->d);
+    for (int k = 0; k < nv; k++) {
+      s->x_trial[k] = x[k] + s->d[k];
+    }
+    const double m_trial = residual_at(s, s->x_trial), rate = m_trial / m;
+    if (!(rate < 0.5)) { /* also when not a number */
+      kg_step_ensure_evaluated(s, x);
+      return m;
+    }
+    memcpy(x, s->x_trial, (size_t)nv * sizeof *x);
+    m = m_trial;
+    promising = m * rate * rate * rate <= s->def.tolerance;
+  }
+  return m;
+}
+
 /* Newton from x, which ends as the iterate with the least residual; links and contacts are left there.
  * Returns that residual. */
 static double iterate(kg_step *s, double *x, kg_step_report *report)
@@ -182,6 +208,9 @@ static double iterate(kg_step *s, double *x, kg_step_report *report)
     bounded += !find_direction(s, x, m, &damping, report);
     if (bounded > MOST_BOUNDED) break;
     m = move(s, x, m, report);
+    if (s->small->slots == 0 && damping == 0.0 && isfinite(m)) {
+      m = refine(s, x, m);
+    }
   }
   if (isfinite(best)) {
     memcpy(x, s->x_best, bytes);
