@@ -113,7 +113,8 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   kg_dynamics *d = KG_ARENA_ARRAY(&arena, kg_dynamics, 1);
   kg_dynamics made = {.body = body, .n = n, .kernels = kg_physics_kernels_best()};
   made.model = create_model(body, made.kernels, &arena);
-  made.spare = KG_ARENA_ARRAY(&arena, double, body->nv);
+  made.motion = KG_ARENA_ARRAY(&arena, double, 8 * 18 * n);
+  made.spare = KG_ARENA_ARRAY(&arena, double, 9 * n);
   for (int k = 0; k < 4; k++) {
     made.lanes[k] = KG_ARENA_ARRAY(&arena, double, 8 * body->nq);
   }
@@ -447,6 +448,45 @@ void kg_dynamics_forward_many(kg_dynamics *dynamics, int count, double *a, const
 {
   const kg_physics_kernels *k = dynamics->kernels;
   run_many(dynamics, k->one->forward, k->eight ? k->eight->forward : NULL, count, a, q, v, tau);
+}
+
+/* One output of up to eight frames, width numbers a frame, from its place in the lanes. */
+static void store_motion(const kg_dynamics *d, void *out, int first, int frames, int from,
+                         int width)
+{
+  if (out) {
+    store_lanes(d, (double *)out + (size_t)first * (size_t)width, d->motion + 8 * from, width,
+                frames);
+  }
+}
+
+void kg_dynamics_velocity_many(kg_dynamics *dynamics, int count, const double *q, const double *v,
+                               kg_vec3 *p, kg_mat3 *R, kg_vec3 *p_dot, kg_vec3 *w)
+{
+  KG_ASSERT(v || (!p_dot && !w));
+  kg_dynamics *d = dynamics;
+  const int n = d->n, nq = d->body->nq, nv = d->body->nv;
+  const bool moving = p_dot || w;
+  int first = 0;
+  for (; d->kernels->eight && count - first >= 3; first += 8) {
+    const int frames = count - first < 8 ? count - first : 8;
+    load_lanes(d, d->lanes[0], q + (size_t)first * (size_t)nq, nq, frames);
+    if (moving) {
+      load_lanes(d, d->lanes[1], v + (size_t)first * (size_t)nv, nv, frames);
+    }
+    d->kernels->eight->kinematics(d->model, d->motion, d->lanes[0], moving ? d->lanes[1] : NULL,
+                                  NULL);
+    store_motion(d, p, first, frames, 0, 3 * n);
+    store_motion(d, R, first, frames, 3 * n, 9 * n);
+    store_motion(d, p_dot, first, frames, 12 * n, 3 * n);
+    store_motion(d, w, first, frames, 15 * n, 3 * n);
+  }
+  for (; first < count; first++) {
+    const size_t at = (size_t)first * (size_t)n;
+    kg_dynamics_velocity(d, q + (size_t)first * (size_t)nq, v ? v + (size_t)first * (size_t)nv : v,
+                         p ? p + at : p, R ? R + at : R, p_dot ? p_dot + at : p_dot,
+                         w ? w + at : w);
+  }
 }
 
 void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const double *v,

@@ -141,7 +141,8 @@ struct kg_dynamics {
   const kg_physics_kernels *kernels;
   struct kg_model *model; /* for the recursive algorithms */
   double *lanes[4];       /* eight frames: nq or nv numbers of each */
-  double *spare;          /* nv numbers nobody reads */
+  double *motion;         /* 8 * 18 n: poses and velocities of eight frames */
+  double *spare;          /* 9 n numbers nobody reads */
   kg_arena arena;
 };
 

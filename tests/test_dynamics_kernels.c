@@ -443,6 +443,35 @@ static void check_frames(kg_dynamics *d, const clip *c, const double *tau, const
   }
 }
 
+static void check_kinematics(kg_dynamics *d, const clip *c)
+{
+  enum { N = 40 };
+  const kg_body *body = d->body;
+  const int n = body->segment_count;
+  static kg_vec3 p[FRAMES * N], p_dot[FRAMES * N], w[FRAMES * N], one[3][N];
+  static kg_mat3 R[FRAMES * N], one_R[N];
+  for (int count = 0; count <= FRAMES; count++) {
+    memset(R, 0, sizeof R);
+    kg_dynamics_velocity_many(d, count, c->q, c->v, p, R, p_dot, w);
+    for (int f = 0; f < count; f++) {
+      const size_t vectors = (size_t)n * sizeof *p;
+      kg_dynamics_velocity(d, c->q + f * body->nq, c->v + f * body->nv, one[0], one_R, one[1],
+                           one[2]);
+      assert_memory_equal(p + f * n, one[0], vectors);
+      assert_memory_equal(p_dot + f * n, one[1], vectors);
+      assert_memory_equal(w + f * n, one[2], vectors);
+      assert_memory_equal(R + f * n, one_R, (size_t)n * sizeof *R);
+    }
+    assert_true(count * n == FRAMES * N || R[count * n].m[0] == 0.0); /* not beyond its end */
+    memset(p, 0, sizeof p);
+    kg_dynamics_velocity_many(d, count, c->q, NULL, p, NULL, NULL, NULL);
+    if (count > 0) { /* the last frame, poses alone */
+      kg_dynamics_pose(d, c->q + (count - 1) * body->nq, one[0], NULL);
+      assert_memory_equal(p + (count - 1) * n, one[0], (size_t)n * sizeof *p);
+    }
+  }
+}
+
 static void eight_frames_equal_one_bit_for_bit(void **unused)
 {
   (void)unused;
@@ -467,10 +496,12 @@ static void eight_frames_equal_one_bit_for_bit(void **unused)
       }
       d->kernels = kernels;
       check_frames(d, &c, tau, a);
+      check_kinematics(d, &c);
       kg_physics_kernels without = *kernels; /* as a compiler without vectors has them */
       without.eight = NULL;
       d->kernels = &without;
       check_frames(d, &c, tau, a);
+      check_kinematics(d, &c);
     }
     kg_dynamics_destroy(d);
     kg_body_destroy(body);

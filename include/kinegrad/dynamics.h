@@ -61,6 +61,12 @@ KG_API void kg_dynamics_inverse_many(kg_dynamics *dynamics, int count, double *t
 KG_API void kg_dynamics_forward_many(kg_dynamics *dynamics, int count, double *a, const double *q,
                                      const double *v, const double *tau);
 
+/* Poses, and velocities when p_dot or w is given (else v may be NULL): p, p_dot, w (count, n) and R
+ * (count, n), each may be NULL. */
+KG_API void kg_dynamics_velocity_many(kg_dynamics *dynamics, int count, const double *q,
+                                      const double *v, kg_vec3 *p, kg_mat3 *R, kg_vec3 *p_dot,
+                                      kg_vec3 *w);
+
 /* Accelerations in the world: of the joints' origins, p_ddot[n] (m/s^2, without gravity), and of
  * the segments' rotation, alpha[n] (rad/s^2); either may be NULL. */
 KG_API void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const double *v,

@@ -36,6 +36,9 @@ typedef struct kg_number_kernels {
   /* a = M^-1 tau; v is not read */
   void (*mass_solve)(const kg_model *model, double *a, const double *q, const double *v,
                      const double *tau);
+  /* out: p (n, 3), R (n, 9), and where v is given also p_dot (n, 3), w (n, 3) */
+  void (*kinematics)(const kg_model *model, double *out, const double *q, const double *v,
+                     const double *unused);
 } kg_number_kernels;
 
 #define KG_NUMBER_TABLE_(number, isa) kg_number_kernels_##number##_##isa

@@ -12,20 +12,24 @@
                    const double *y)                                                                \
   {                                                                                                \
     for (int k = 0; k < KG_NUMBER; k += WIDTH) {                                                   \
-      name##_frames(model, out + k, q + k, x ? x + k : x, y + k);                                  \
+      name##_frames(model, out + k, q + k, x ? x + k : x, y ? y + k : y);                          \
     }                                                                                              \
   }
 /* clang-format off */
 IN_PARTS(inverse)
 IN_PARTS(forward)
 IN_PARTS(mass_solve)
+IN_PARTS(kinematics)
 /* clang-format on */
 
+_Static_assert(sizeof(forward_link) >= sizeof(inverse_link) &&
+                 sizeof(forward_link) >= sizeof(moving_link),
+               "scratch for the largest");
 extern const kg_number_kernels KG_NUMBER_TABLE(KG_NUMBER, KG_ISA);
 const kg_number_kernels KG_NUMBER_TABLE(KG_NUMBER, KG_ISA) = {
-  .scratch = sizeof(inverse_link) > sizeof(forward_link) ? sizeof(inverse_link)
-                                                         : sizeof(forward_link),
+  .scratch = sizeof(forward_link), /* the largest */
   .inverse = inverse,
   .forward = forward,
   .mass_solve = mass_solve,
+  .kinematics = kinematics,
 };
