@@ -329,11 +329,21 @@ RUN(run_mujoco_pose,
     kg_mujoco_pose(k->mujoco, positions(s, i, answer), rotations(s, i, answer), q_of(s, i)))
 #endif
 
+static kg_status run_pose_many(void *state, double *answer)
+{
+  kernel *k = state;
+  const states *s = k->of;
+  kg_dynamics_velocity_many(k->dynamics, s->count, s->q, NULL, (kg_vec3 *)positions(s, 0, answer),
+                            (kg_mat3 *)rotations(s, 0, answer), NULL, NULL);
+  return KG_OK;
+}
+
 static const kg_bench_contestant poses[] = {
   {"kinegrad", NULL, 3, create, run_pose, destroy},
   MUJOCO_CONTESTANT("MuJoCo, mj_kinematics", 3, create_mujoco, run_mujoco_pose, destroy),
+  {"kinegrad, many", NULL, 3, create, run_pose_many, destroy},
 };
-static const kg_bench_pair pose_pairs[] = {{"kinegrad", 0, 1, 0.0}};
+static const kg_bench_pair pose_pairs[] = {{"kinegrad", 0, 1, 0.0}, {"kinegrad many", 2, 1, 0.0}};
 
 /* ---- momentum -------------------------------------------------------------------------------- */
 
