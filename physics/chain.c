@@ -59,7 +59,7 @@ void kg_chain_init(kg_chain *chain, const kg_body *body, kg_arena *arena)
   chain->nu = KG_ARENA_ARRAY(arena, double, body->nv);
 }
 
-/* ---- from the root to the leaves ---------------------------------------------------------------*/
+/* ---- from the root to the leaves --------------------------------------------------------------*/
 
 void kg_chain_pose(kg_chain *chain, const double *q)
 {
@@ -140,7 +140,7 @@ void kg_chain_field(kg_chain *chain, const double *lambda)
   }
 }
 
-/* ---- what is differentiated --------------------------------------------------------------------*/
+/* ---- what is differentiated -------------------------------------------------------------------*/
 
 void kg_chain_clear(kg_chain *chain)
 {
@@ -259,7 +259,7 @@ void kg_chain_force(kg_chain *chain, int i, kg_vec3 s, kg_vec3 f)
   gain(&l->bar.mu, cross(s, own));
 }
 
-/* ---- from the leaves to the root ---------------------------------------------------------------*/
+/* ---- from the leaves to the root --------------------------------------------------------------*/
 
 static void return_field(kg_chain_link *l, kg_chain_link *up, kg_vec3 r, kg_vec3 *turn,
                          kg_vec3 *r_bar)

@@ -2,8 +2,9 @@
  * poses, velocities, accelerations and of a second field of velocities lambda.
  *
  * Virtual power turns products with Jacobians into such fields: lambda' ID = sum over segments of
- * the motion lambda gives them times their rate of momentum, lambda' J_c' f = sum of x_dot(lambda) . f.
- * So the gradient of either needs one pass from the root to the leaves and one back, and no matrix.
+ * the motion lambda gives them times their rate of momentum, lambda' J_c' f = sum of x_dot(lambda)
+ * . f. So the gradient of either needs one pass from the root to the leaves and one back, and no
+ * matrix.
  *
  * Equation numbers: docs/theory/dynamics.md, section 7. */
 #ifndef PHYSICS_CHAIN_H
@@ -21,7 +22,8 @@ typedef struct kg_chain_adjoint {
   kg_vec3 mu, pi;
 } kg_chain_adjoint;
 
-/* A segment; vectors in its own axes. "in": what comes from the parent, before the joint adds its own. */
+/* A segment; vectors in its own axes. "in": what comes from the parent, before the joint adds its
+ * own. */
 typedef struct kg_chain_link {
   kg_mat3 Q, R;            /* relative to the parent (root: to the world); to the world */
   kg_vec3 p;               /* joint, world                                              */
@@ -64,8 +66,8 @@ void kg_chain_inertial(kg_chain *chain, const kg_body_gradient *body_bar);
  * VELOCITY) and its velocity in the field (POSE, FIELD); NULL: none. Adds to s_bar where wanted. */
 void kg_chain_point(kg_chain *chain, int i, kg_vec3 s, const kg_vec3 *x_bar, const kg_vec3 *u_bar,
                     const kg_vec3 *xi_bar, double *s_bar);
-/* The world adjoints of place, velocity and acceleration of joint i; NULL: none. A place needs POSE, a
- * velocity VELOCITY besides, an acceleration POSE and ACCELERATION with no gravity. */
+/* The world adjoints of place, velocity and acceleration of joint i; NULL: none. A place needs
+ * POSE, a velocity VELOCITY besides, an acceleration POSE and ACCELERATION with no gravity. */
 void kg_chain_joint(kg_chain *chain, int i, const kg_vec3 *p_bar, const kg_vec3 *v_bar,
                     const kg_vec3 *a_bar);
 /* A force f (world) on the point s of segment i: phi += lambda' J' f for lambda_bar alone. */

@@ -28,7 +28,7 @@ static kg_status finite_or_undefined(const double *x, int count)
   return KG_OK;
 }
 
-/* ---- dynamics ----------------------------------------------------------------------------------*/
+/* ---- dynamics ---------------------------------------------------------------------------------*/
 
 static kg_status inverse(const kg_rule_item *i)
 {
@@ -56,7 +56,7 @@ static kg_status forward_vjp(const kg_rule_item *i)
   return KG_OK;
 }
 
-/* ---- kinematics --------------------------------------------------------------------------------*/
+/* ---- kinematics -------------------------------------------------------------------------------*/
 
 static kg_status positions(const kg_rule_item *i)
 {
@@ -112,7 +112,7 @@ static kg_status point_positions_vjp(const kg_rule_item *i)
   return KG_OK;
 }
 
-/* ---- forces ------------------------------------------------------------------------------------*/
+/* ---- forces -----------------------------------------------------------------------------------*/
 
 static kg_status point_forces(const kg_rule_item *i)
 {
@@ -177,7 +177,7 @@ static kg_status contact_forces_vjp(const kg_rule_item *i)
   return KG_OK;
 }
 
-/* ---- the step ----------------------------------------------------------------------------------*/
+/* ---- the step ---------------------------------------------------------------------------------*/
 
 /* The numbers of the call into the step: contact law (3), masses (4), offsets (5). */
 static kg_status prepare_step(const kg_rule_item *i)
@@ -237,17 +237,39 @@ static kg_status step_vjp(const kg_rule_item *i)
                      (int)*i->saved, o->end_bar, i->out_bar + o->body->nq);
 }
 
-/* clang-format off */
 const kg_rule kg_rules[KG_RULE_COUNT] = {
-  [KG_RULE_INVERSE]         = {"inverse_dynamics",    {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE}, KG_RULE_RATE, inverse, inverse_vjp},
-  [KG_RULE_FORWARD]         = {"forward_dynamics",    {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE}, KG_RULE_RATE, forward, forward_vjp},
-  [KG_RULE_POSITIONS]       = {"joint_positions",     {KG_RULE_STATE}, KG_RULE_JOINTS, positions, positions_vjp},
-  [KG_RULE_VELOCITIES]      = {"joint_velocities",    {KG_RULE_STATE, KG_RULE_RATE}, KG_RULE_JOINTS, velocities, velocities_vjp},
-  [KG_RULE_ACCELERATIONS]   = {"joint_accelerations", {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE}, KG_RULE_JOINTS, accelerations, accelerations_vjp},
-  [KG_RULE_POINT_POSITIONS] = {"point_positions",     {KG_RULE_STATE}, KG_RULE_POINTS, point_positions, point_positions_vjp},
-  [KG_RULE_POINT_FORCES]    = {"point_forces",        {KG_RULE_STATE, KG_RULE_POINTS}, KG_RULE_RATE, point_forces, point_forces_vjp},
-  [KG_RULE_CONTACT_FORCES]  = {"contact_forces",      {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_LAW}, KG_RULE_POINTS, contact_forces, contact_forces_vjp},
-  [KG_RULE_STEP]            = {"implicit_step",       {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE, KG_RULE_LAW, KG_RULE_MASSES, KG_RULE_OFFSETS},
-                               KG_RULE_BOTH, step, step_vjp},
+  [KG_RULE_INVERSE] = {"inverse_dynamics",
+                       {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE},
+                       KG_RULE_RATE,
+                       inverse,
+                       inverse_vjp},
+  [KG_RULE_FORWARD] = {"forward_dynamics",
+                       {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE},
+                       KG_RULE_RATE,
+                       forward,
+                       forward_vjp},
+  [KG_RULE_POSITIONS] =
+    {"joint_positions", {KG_RULE_STATE}, KG_RULE_JOINTS, positions, positions_vjp},
+  [KG_RULE_VELOCITIES] =
+    {"joint_velocities", {KG_RULE_STATE, KG_RULE_RATE}, KG_RULE_JOINTS, velocities, velocities_vjp},
+  [KG_RULE_ACCELERATIONS] = {"joint_accelerations",
+                             {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE},
+                             KG_RULE_JOINTS,
+                             accelerations,
+                             accelerations_vjp},
+  [KG_RULE_POINT_POSITIONS] =
+    {"point_positions", {KG_RULE_STATE}, KG_RULE_POINTS, point_positions, point_positions_vjp},
+  [KG_RULE_POINT_FORCES] =
+    {"point_forces", {KG_RULE_STATE, KG_RULE_POINTS}, KG_RULE_RATE, point_forces, point_forces_vjp},
+  [KG_RULE_CONTACT_FORCES] = {"contact_forces",
+                              {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_LAW},
+                              KG_RULE_POINTS,
+                              contact_forces,
+                              contact_forces_vjp},
+  [KG_RULE_STEP] = {"implicit_step",
+                    {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE, KG_RULE_LAW, KG_RULE_MASSES,
+                     KG_RULE_OFFSETS},
+                    KG_RULE_BOTH,
+                    step,
+                    step_vjp},
 };
-/* clang-format on */

@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-/* ---- shapes ------------------------------------------------------------------------------------*/
+/* ---- shapes -----------------------------------------------------------------------------------*/
 
 static bool is_shared(kg_rule_size size)
 {
@@ -73,7 +73,7 @@ static kg_status shape_of_use(void *user, int count, const kg_shape *shapes, kg_
   return KG_OK;
 }
 
-/* ---- quaternions -------------------------------------------------------------------------------*/
+/* ---- quaternions ------------------------------------------------------------------------------*/
 
 /* operators->q = q with unit quaternions; false where there is a zero one or no number */
 static bool normalise(kg_dynamics_operators *o, const double *q)
@@ -88,8 +88,8 @@ static bool normalise(kg_dynamics_operators *o, const double *q)
   return true;
 }
 
-/* Adds the gradient by the tangent of q to that by its numbers: a change d of a quaternion turns it by
- * 2 u* d / |q|, u = q / |q|. */
+/* Adds the gradient by the tangent of q to that by its numbers: a change d of a quaternion turns it
+ * by 2 u* d / |q|, u = q / |q|. */
 static void add_tangent(kg_dynamics_operators *o, const double *q, double *q_bar)
 {
   for (int k = 0; k < 3; k++) {
@@ -108,7 +108,7 @@ static void add_tangent(kg_dynamics_operators *o, const double *q, double *q_bar
   }
 }
 
-/* ---- items -------------------------------------------------------------------------------------*/
+/* ---- items ------------------------------------------------------------------------------------*/
 
 /* Item number `index` of a call; adjoints NULL on the way forward. */
 static kg_rule_item item_of(const kg_primitive_call *call, size_t index, const double *adjoint,
@@ -172,7 +172,7 @@ static kg_status vjp_of_use(const kg_primitive_call *call, const double *adjoint
   return status;
 }
 
-/* ---- object ------------------------------------------------------------------------------------*/
+/* ---- object -----------------------------------------------------------------------------------*/
 
 static kg_status copy_body(kg_body **copy, const kg_body *body, const kg_allocator *allocator)
 {
@@ -236,7 +236,7 @@ void kg_dynamics_operators_destroy(kg_dynamics_operators *operators)
   kg_arena_release(&arena);
 }
 
-/* ---- recording ---------------------------------------------------------------------------------*/
+/* ---- recording --------------------------------------------------------------------------------*/
 
 /* The primitive of a rule with these operands; made at its first use. */
 static const kg_primitive *primitive_of(kg_dynamics_operators *o, const kg_rule *rule,

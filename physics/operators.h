@@ -1,5 +1,6 @@
-/* Inside physics/: operators on the tape, as rules for one item of a batch. operators.c turns a rule
- * into a primitive: shapes, leading dimensions, quaternions. operator_rules.c has the rules. */
+/* Inside physics/: operators on the tape, as rules for one item of a batch. operators.c turns a
+ * rule into a primitive: shapes, leading dimensions, quaternions. operator_rules.c has the
+ * rules. */
 #ifndef PHYSICS_OPERATORS_H
 #define PHYSICS_OPERATORS_H
 
@@ -21,8 +22,8 @@ typedef enum kg_rule_size {
   KG_RULE_OFFSETS /* (n, 3), shared   */
 } kg_rule_size;
 
-/* One item. in[0] is q with unit quaternions. bars are NULL where not wanted; bar[0] is by the tangent
- * of q. A rule that has an operand left out sees NULL in `in` and `bar`. */
+/* One item. in[0] is q with unit quaternions. bars are NULL where not wanted; bar[0] is by the
+ * tangent of q. A rule that has an operand left out sees NULL in `in` and `bar`. */
 typedef struct kg_rule_item {
   kg_dynamics_operators *operators;
   const double *in[KG_RULE_OPERANDS];

@@ -1,5 +1,5 @@
-/* Passive torque of a ball joint: a spring about a rest rotation and one-sided springs at the limits
- * of the components of the rotation vector.
+/* Passive torque of a ball joint: a spring about a rest rotation and one-sided springs at the
+ * limits of the components of the rotation vector.
  *
  * Equation numbers: docs/theory/dynamics.md, section 5. r: rotation vector of rest^-1 q. */
 #include "physics/passive.h"
@@ -42,8 +42,9 @@ double kg_joint_passive_energy(const kg_joint_passive *passive, kg_quat q)
   return spring + passive->limit_stiffness / 3.0 * cubes;
 }
 
-/* beta of Jr^-1 = 1 + [r]/2 + beta [r]^2 and its derivative by t = |r|, over t. The closed form loses
- * eps / t^4 of the latter to cancellation, the series of eight terms is good to 1e-16 below 0.7. */
+/* beta of Jr^-1 = 1 + [r]/2 + beta [r]^2 and its derivative by t = |r|, over t. The closed form
+ * loses eps / t^4 of the latter to cancellation, the series of eight terms is good to 1e-16 below
+ * 0.7. */
 typedef struct curl {
   double beta, slope;
 } curl;

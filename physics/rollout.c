@@ -1,8 +1,9 @@
 /* Runs of implicit steps and their gradients.
  *
  * A run is cut into segments of `interval` steps. The states at their beginnings are kept, and all
- * states of one segment: of the only one, or, with checkpoints, of one that is run again when the way
- * back arrives there. A step is a function of its arguments alone, so it ends in the same bits. */
+ * states of one segment: of the only one, or, with checkpoints, of one that is run again when the
+ * way back arrives there. A step is a function of its arguments alone, so it ends in the same
+ * bits. */
 #include "kinegrad/rollout.h"
 
 #include "physics/step_problem.h"
@@ -71,7 +72,7 @@ void kg_rollout_destroy(kg_rollout *rollout)
   }
 }
 
-/* ---- forward -----------------------------------------------------------------------------------*/
+/* ---- forward ----------------------------------------------------------------------------------*/
 
 static void copy_state(const kg_rollout *r, double *q_to, double *v_to, const double *q,
                        const double *v)
@@ -101,7 +102,8 @@ static kg_step_report run_step(kg_rollout *r, int k, int t)
   return report;
 }
 
-/* The state at the beginning of a segment: from where it is kept into the segment, or the other way. */
+/* The state at the beginning of a segment: from where it is kept into the segment, or the other
+ * way. */
 static void load(kg_rollout *r, int segment)
 {
   const size_t s = (size_t)segment;
@@ -156,7 +158,7 @@ kg_status kg_rollout_run(kg_rollout *rollout, int steps, const double *q, const 
   return r->converged ? KG_OK : KG_ERR_UNDEFINED;
 }
 
-/* ---- backward ----------------------------------------------------------------------------------*/
+/* ---- backward ---------------------------------------------------------------------------------*/
 
 void kg_rollout_add_arrays(void *arrays, int t, const double *q, const double *v, double *q_bar,
                            double *v_bar)

@@ -1,5 +1,5 @@
-/* Derivatives of a step by the implicit function theorem: products with the transposed Jacobian, and
- * the whole Jacobian. Newton's iterations are not differentiated.
+/* Derivatives of a step by the implicit function theorem: products with the transposed Jacobian,
+ * and the whole Jacobian. Newton's iterations are not differentiated.
  *
  * Equation numbers: docs/theory/dynamics.md, section 8. */
 #include "physics/chain.h"
@@ -38,7 +38,7 @@ static kg_status linearize_at(kg_step *s, const double *q, const double *v, cons
   return KG_OK;
 }
 
-/* ---- one step ----------------------------------------------------------------------------------*/
+/* ---- one step ---------------------------------------------------------------------------------*/
 
 /* phi -= sum of xi . f (B2) */
 static void return_contacts(kg_step *s, const kg_step_gradient *g)
@@ -148,7 +148,7 @@ static kg_status return_step(kg_step *s, const kg_step_gradient *g, const double
   return KG_OK;
 }
 
-/* ---- sub-steps ---------------------------------------------------------------------------------*/
+/* ---- sub-steps --------------------------------------------------------------------------------*/
 
 /* Leaves the states between the sub-steps in the trace; they must end where the step did. */
 static kg_status trace(kg_step *s, const double *q, const double *v, const double *tau, double dt,
@@ -210,7 +210,7 @@ kg_status kg_step_vjp(kg_step *step, const kg_step_gradient *gradient, const dou
                          : status;
 }
 
-/* ---- the whole Jacobian ------------------------------------------------------------------------*/
+/* ---- the whole Jacobian -----------------------------------------------------------------------*/
 
 static void get_block(const double *A, int nv, int r, int c, kg_mat3 *block)
 {
@@ -265,7 +265,8 @@ static void carry_rows(const kg_step *s, double *out, const double *in, bool add
   }
 }
 
-/* X: -dG/dx in, dv'/dx out, for x = q, v or tau; then dq'/dx where wanted, which may be X itself. */
+/* X: -dG/dx in, dv'/dx out, for x = q, v or tau; then dq'/dx where wanted, which may be X
+ * itself. */
 static void solve_part(kg_step *s, double *X, double *dq, bool by_pose)
 {
   kg_tree_solve_many(&s->dynamics->tree, &s->J, X, s->def.body->nv);

@@ -12,7 +12,7 @@
 /* kg m^2: keeps the scale finite for a joint that moves nothing. */
 static const double SMALLEST_INERTIA = 1e-12;
 
-/* ---- points ------------------------------------------------------------------------------------*/
+/* ---- points -----------------------------------------------------------------------------------*/
 
 /* Ball around the points of a group: centre of their bounding box, not the smallest ball. */
 static void bound_group(point_group *g, const int *order, const kg_body *body)

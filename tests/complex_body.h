@@ -1,10 +1,11 @@
-/* A second opinion on the equations of motion, for complex steps: Newton and Euler for every segment
- * in world axes, in double complex, by the textbook; generalised forces by virtual power with explicit
- * Jacobians. Shares no code and no formula in segment axes with the library. Every number that is
- * differentiated by is a complex one: pose, velocities, masses, lengths, the law of contact.
+/* A second opinion on the equations of motion, for complex steps: Newton and Euler for every
+ * segment in world axes, in double complex, by the textbook; generalised forces by virtual power
+ * with explicit Jacobians. Shares no code and no formula in segment axes with the library. Every
+ * number that is differentiated by is a complex one: pose, velocities, masses, lengths, the law of
+ * contact.
  *
- * Functions that are only piecewise analytic choose their branch by real parts, so that a complex step
- * gives the derivative of the branch: one-sided at a kink. */
+ * Functions that are only piecewise analytic choose their branch by real parts, so that a complex
+ * step gives the derivative of the branch: one-sided at a kink. */
 #ifndef TESTS_COMPLEX_BODY_H
 #define TESTS_COMPLEX_BODY_H
 
@@ -104,7 +105,8 @@ static inline c33 c_exp(c3 r)
   return sum;
 }
 
-/* Everything a residual depends on. The pose is given by matrices; `turn` moves it: Q exp([turn]). */
+/* Everything a residual depends on. The pose is given by matrices; `turn` moves it: Q
+ * exp([turn]). */
 typedef struct complex_body {
   int n, point_count;
   int parent[MAX_NV];
@@ -217,7 +219,8 @@ static inline void complex_accelerations(const complex_body *b, const complex_po
   }
 }
 
-/* out[nv] += sign * J' (force f at world point x of segment i, moment n): along the path to the root */
+/* out[nv] += sign * J' (force f at world point x of segment i, moment n): along the path to the
+ * root */
 static inline void complex_project(const complex_body *b, const complex_pose *s, int i, c3 x, c3 f,
                                    c3 n, double sign, cplx *out)
 {
@@ -257,7 +260,7 @@ static inline void complex_inverse(const complex_body *b, const complex_pose *s,
   }
 }
 
-/* ---- the equation of a step --------------------------------------------------------------------*/
+/* ---- the equation of a step -------------------------------------------------------------------*/
 
 typedef struct complex_joint {
   cplx stiffness, damping, limit_stiffness;
@@ -330,7 +333,8 @@ static inline c3 c_log(const c33 *R)
   const c3 twice_sine = {m[7] - m[5], m[2] - m[6], m[3] - m[1]};
   const cplx cosine = 0.5 * (m[0] + m[4] + m[8] - 1.0);
   const cplx sine = 0.5 * csqrt(c_dot(twice_sine, twice_sine));
-  /* of a complex sine and cosine to first order in the imaginary parts, which are tiny: da = cos ds - sin dc */
+  /* of a complex sine and cosine to first order in the imaginary parts, which are tiny: da = cos ds
+   * - sin dc */
   const double sn = creal(sine), cs = creal(cosine);
   const cplx angle = atan2(sn, cs) + _Complex_I * (cs * cimag(sine) - sn * cimag(cosine));
   return c_scale(0.5 * angle / sine, twice_sine);

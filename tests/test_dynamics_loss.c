@@ -1,5 +1,5 @@
-/* L_dyn: against plain calls and cases with a known answer; its gradient by motion, torques and forces
- * against differences. */
+/* L_dyn: against plain calls and cases with a known answer; its gradient by motion, torques and
+ * forces against differences. */
 #include "fixture_body.h"
 
 #include "kinegrad/derivatives.h"
@@ -47,7 +47,7 @@ static void motion(kg_random *random, const kg_body *body, double *q)
   }
 }
 
-/* ---- value -------------------------------------------------------------------------------------*/
+/* ---- value ------------------------------------------------------------------------------------*/
 
 /* Eq. 2 written out with the plain calls */
 static double plain_loss(const kg_body *body, const double *q, const double *tau, const kg_vec3 *f)
@@ -143,7 +143,7 @@ static void value_equals_plain_calls(void **state)
   release(&f);
 }
 
-/* ---- known answers -----------------------------------------------------------------------------*/
+/* ---- known answers ----------------------------------------------------------------------------*/
 
 /* A box that rests: with the weight on its corners nothing is left, without forces 9.8^2 is. */
 static void rest_needs_forces(void **state)
@@ -192,7 +192,7 @@ static void flight_needs_nothing(void **state)
   release(&f);
 }
 
-/* ---- gradient ----------------------------------------------------------------------------------*/
+/* ---- gradient ---------------------------------------------------------------------------------*/
 
 static kg_value record(kg_tape *tape, kg_value x, void *user)
 {

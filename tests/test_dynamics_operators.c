@@ -78,7 +78,7 @@ static void set_down(fixture *f, double distance)
   f->q[2] += (distance - lowest) * n.z;
 }
 
-/* ---- values ------------------------------------------------------------------------------------*/
+/* ---- values -----------------------------------------------------------------------------------*/
 
 static void assert_same(const kg_tape *tape, kg_value value, size_t start, const double *want,
                         size_t count, double tolerance)
@@ -163,7 +163,7 @@ static void values_equal_plain_calls(void **state)
   release(f);
 }
 
-/* ---- derivatives -------------------------------------------------------------------------------*/
+/* ---- derivatives ------------------------------------------------------------------------------*/
 
 typedef struct recipe {
   fixture *f;
@@ -246,8 +246,8 @@ static void smooth_operators_pass_the_gradient_check(void **state)
   release(f);
 }
 
-/* Small steps about a state in contact: x = (d root / layer, v / stick, tau, law in proportion, masses
- * and offsets in proportion); all of them operands. */
+/* Small steps about a state in contact: x = (d root / layer, v / stick, tau, law in proportion,
+ * masses and offsets in proportion); all of them operands. */
 static kg_value record_step(kg_tape *t, kg_value x, void *user)
 {
   const recipe *r = user;
@@ -323,7 +323,7 @@ static void gradients_are_tangent_to_the_sphere(void **state)
   release(f);
 }
 
-/* ---- against the complex model, to rounding ----------------------------------------------------*/
+/* ---- against the complex model, to rounding ---------------------------------------------------*/
 
 static void adjoints_equal_complex_steps(void **state)
 {
@@ -406,7 +406,7 @@ static void forward_adjoint_equals_the_matrices(void **state)
   assert_at_most(worst, 1e-11);
 }
 
-/* ---- refusals ----------------------------------------------------------------------------------*/
+/* ---- refusals ---------------------------------------------------------------------------------*/
 
 static void wrong_operands_are_refused(void **state)
 {

@@ -103,7 +103,7 @@ static double cost_value(const cost *c, const fixture *f, int steps, const doubl
   return sum;
 }
 
-/* ---- against differences -----------------------------------------------------------------------*/
+/* ---- against differences ----------------------------------------------------------------------*/
 
 static double moved_value(fixture *f, kg_rollout *r, const cost *c, int steps, double s,
                           const double *d)
@@ -173,7 +173,7 @@ static void gradient_equals_differences(void **state)
   }
 }
 
-/* ---- memory ------------------------------------------------------------------------------------*/
+/* ---- memory -----------------------------------------------------------------------------------*/
 
 typedef struct everything {
   double q[MAX_NV], v[MAX_NV], tau[STEPS * MAX_NV];
@@ -260,7 +260,7 @@ static void arrays_are_a_cotangent(void **state)
   release(f);
 }
 
-/* ---- refusals ----------------------------------------------------------------------------------*/
+/* ---- refusals ---------------------------------------------------------------------------------*/
 
 static void a_run_that_failed_has_no_gradient(void **state)
 {
@@ -281,7 +281,7 @@ static void a_run_that_failed_has_no_gradient(void **state)
   release(f);
 }
 
-/* ---- time --------------------------------------------------------------------------------------*/
+/* ---- time -------------------------------------------------------------------------------------*/
 
 static double seconds(void)
 {

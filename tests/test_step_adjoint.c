@@ -1,5 +1,5 @@
-/* Derivatives of a step: against dense LAPACK on complex steps of an independent residual, in flight,
- * standing, sliding, lying and at the kinks of the contact law; sub-steps; refusals. */
+/* Derivatives of a step: against dense LAPACK on complex steps of an independent residual, in
+ * flight, standing, sliding, lying and at the kinks of the contact law; sub-steps; refusals. */
 #include "complex_body.h"
 
 #include "kinegrad/dense.h"
@@ -65,7 +65,7 @@ static void random_passive(kg_random *random, int n, kg_joint_passive *passive)
   }
 }
 
-/* ---- the reference -----------------------------------------------------------------------------*/
+/* ---- the reference ----------------------------------------------------------------------------*/
 
 /* dG/dx for one number x, as a column */
 static void column_by(complex_step *s, cplx *x, double *column)
@@ -135,7 +135,8 @@ extern void dgesvx_(const char *fact, const char *trans, const int *n, const int
                     double *ferr, double *berr, double *work, int *iwork, int *info,
                     size_t fact_length, size_t trans_length, size_t equed_length);
 
-/* X := J^-1 X (transposed: J^-T X) with equilibration and iterative refinement; X (n, columns) row-major */
+/* X := J^-1 X (transposed: J^-T X) with equilibration and iterative refinement; X (n, columns)
+ * row-major */
 static void solve_with_lapack(int n, const double *J, bool transposed, double *X, int columns)
 {
   double *a = malloc(sizeof(double) * (size_t)(2 * n * n + 2 * n * columns + 8 * n + 2 * columns));
@@ -208,7 +209,7 @@ static void transposed_product(const double *A, int rows, int columns, const dou
   }
 }
 
-/* ---- comparison --------------------------------------------------------------------------------*/
+/* ---- comparison -------------------------------------------------------------------------------*/
 
 typedef struct gradient_arrays {
   double q[MAX_NV], v[MAX_NV], tau[MAX_NV], contact[6], joint_damping, passive[3 * MAX_NV];
@@ -231,7 +232,8 @@ static kg_step_gradient arrays_of(gradient_arrays *a)
                                      .points = a->points}};
 }
 
-/* Gradient by an array of numbers against -lambda' dG/dx; errors over the largest entry, or `least`. */
+/* Gradient by an array of numbers against -lambda' dG/dx; errors over the largest entry, or
+ * `least`. */
 static double compare_numbers(reference *r, const double *lambda, cplx *x, int count,
                               const double *got, double least)
 {
@@ -247,8 +249,8 @@ static double compare_numbers(reference *r, const double *lambda, cplx *x, int c
   return error;
 }
 
-/* The six numbers of the contact law have different units: effects of a change in proportion, over those
- * of the law's force F on the fastest rate. */
+/* The six numbers of the contact law have different units: effects of a change in proportion, over
+ * those of the law's force F on the fastest rate. */
 static double compare_law(reference *r, const double *lambda, const double *got)
 {
   double error = 0.0, size = creal(r->at.contact[1]) * largest(lambda, r->nv);
@@ -350,7 +352,7 @@ static errors compare(kg_step *step, const kg_step_def *def, kg_random *random, 
   return e;
 }
 
-/* ---- tests -------------------------------------------------------------------------------------*/
+/* ---- tests ------------------------------------------------------------------------------------*/
 
 static kg_step *create_step(const kg_step_def *def)
 {
@@ -402,8 +404,8 @@ static void derivatives_equal_complex_steps(void **state)
   kg_body_destroy(body);
 }
 
-/* The human at rest, all sole nodes at the same distance with the same velocity: every contact is on a
- * kink of the law at once, or one part in 1e14 to its sides. */
+/* The human at rest, all sole nodes at the same distance with the same velocity: every contact is
+ * on a kink of the law at once, or one part in 1e14 to its sides. */
 static void derivatives_hold_at_kinks(void **state)
 {
   (void)state;
@@ -552,7 +554,7 @@ static void gradient_equals_differences(void **state)
   kg_body_destroy(body);
 }
 
-/* ---- sub-steps ---------------------------------------------------------------------------------*/
+/* ---- sub-steps --------------------------------------------------------------------------------*/
 
 /* Four steps one after the other, and the same as one step in four sub-steps. */
 static void substeps_are_gone_back_through(void **state)
@@ -621,7 +623,7 @@ static void substeps_are_gone_back_through(void **state)
   kg_body_destroy(body);
 }
 
-/* ---- refusals, memory --------------------------------------------------------------------------*/
+/* ---- refusals, memory -------------------------------------------------------------------------*/
 
 static void what_is_no_solution_is_refused(void **state)
 {
@@ -685,7 +687,7 @@ static void nothing_is_allocated(void **state)
   kg_body_destroy(body);
 }
 
-/* ---- passive joints ----------------------------------------------------------------------------*/
+/* ---- passive joints ---------------------------------------------------------------------------*/
 
 /* Two segments that do not move: G holds the torque of the joint alone. */
 static void passive_torque_is_the_slope_of_its_energy(void **state)

@@ -91,8 +91,8 @@ typedef struct kg_body_gradient {
   double *points;  /* 3 point_count: in segment frames; only contacts move it */
 } kg_body_gradient;
 
-/* Gradient of lambda' ID(q, v, a), lambda held: adds to q_bar (tangent space), v_bar, a_bar [nv] and
- * body_bar, each may be NULL. O(n), no matrix: docs/theory/dynamics.md, section 7. */
+/* Gradient of lambda' ID(q, v, a), lambda held: adds to q_bar (tangent space), v_bar, a_bar [nv]
+ * and body_bar, each may be NULL. O(n), no matrix: docs/theory/dynamics.md, section 7. */
 KG_API void kg_dynamics_inverse_vjp(kg_dynamics *dynamics, double *q_bar, double *v_bar,
                                     double *a_bar, const kg_body_gradient *body_bar,
                                     const double *q, const double *v, const double *a,
@@ -148,8 +148,8 @@ typedef struct kg_centroid {
 KG_API kg_centroid kg_dynamics_centroid(kg_dynamics *dynamics, const double *q, const double *v);
 
 /* A[6*nv] row-major: angular momentum about the centre of mass (three rows), then linear momentum,
- * both in world axes, are A v. [D. E. Orin, A. Goswami, S.-H. Lee, Centroidal dynamics of a humanoid
- * robot, Autonomous Robots 35, 2013] */
+ * both in world axes, are A v. [D. E. Orin, A. Goswami, S.-H. Lee, Centroidal dynamics of a
+ * humanoid robot, Autonomous Robots 35, 2013] */
 KG_API void kg_dynamics_centroidal_matrix(kg_dynamics *dynamics, double *A, const double *q);
 
 /* World position of a body point; J (3*nv row-major, may be NULL) with p_dot = J v. */

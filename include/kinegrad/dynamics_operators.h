@@ -1,12 +1,12 @@
 /* kinegrad/dynamics_operators.h - dynamics, contact and the implicit step as operators on the tape.
  *
- * Operands are the arrays of body.h with any leading dimensions: q (..., nq), v (..., nv), and so on;
- * the leading dimensions of all operands of a call are the same. The quaternions of q need not be
- * unit: they are normalised inside, so that a gradient by q is orthogonal to each of them (and the
- * gradient by an optimiser's q leaves lengths alone).
+ * Operands are the arrays of body.h with any leading dimensions: q (..., nq), v (..., nv), and so
+ * on; the leading dimensions of all operands of a call are the same. The quaternions of q need not
+ * be unit: they are normalised inside, so that a gradient by q is orthogonal to each of them (and
+ * the gradient by an optimiser's q leaves lengths alone).
  *
- * Derivatives are exact: adjoints without matrices for dynamics and kinematics, the implicit function
- * theorem for the step (docs/theory/dynamics.md, sections 7 and 8). Backward mode only. */
+ * Derivatives are exact: adjoints without matrices for dynamics and kinematics, the implicit
+ * function theorem for the step (docs/theory/dynamics.md, sections 7 and 8). Backward mode only. */
 #ifndef KINEGRAD_DYNAMICS_OPERATORS_H
 #define KINEGRAD_DYNAMICS_OPERATORS_H
 
@@ -17,11 +17,13 @@
 extern "C" {
 #endif
 
-/* The operators of one body: one thread at a time, and must outlive tapes and programs that use them. */
+/* The operators of one body: one thread at a time, and must outlive tapes and programs that use
+ * them. */
 typedef struct kg_dynamics_operators kg_dynamics_operators;
 
 /* step: body, gravity, ground, contact law, passive joints, as for kg_step_create; dt: of
- * kg_implicit_step, s. Later changes of the body's masses and lengths are not seen. */
+ * kg_implicit_step, s. Body and scene are copied (later changes are not seen), passive joints and
+ * the scene's meshes borrowed. */
 KG_API KG_MUST_USE kg_status kg_dynamics_operators_create(kg_dynamics_operators **operators,
                                                           const kg_step_def *step, double dt);
 KG_API void kg_dynamics_operators_destroy(kg_dynamics_operators *operators);
@@ -33,7 +35,8 @@ KG_API kg_value kg_inverse_dynamics(kg_tape *tape, kg_dynamics_operators *operat
 KG_API kg_value kg_forward_dynamics(kg_tape *tape, kg_dynamics_operators *operators, kg_value q,
                                     kg_value v, kg_value tau);
 
-/* Joints in the world: places (..., n, 3), m; velocities, m/s; accelerations without gravity, m/s^2. */
+/* Joints in the world: places (..., n, 3), m; velocities, m/s; accelerations without gravity,
+ * m/s^2. */
 KG_API kg_value kg_joint_positions(kg_tape *tape, kg_dynamics_operators *operators, kg_value q);
 KG_API kg_value kg_joint_velocities(kg_tape *tape, kg_dynamics_operators *operators, kg_value q,
                                     kg_value v);
@@ -42,12 +45,13 @@ KG_API kg_value kg_joint_accelerations(kg_tape *tape, kg_dynamics_operators *ope
 /* Points of the body in the world (..., point_count, 3), m */
 KG_API kg_value kg_point_positions(kg_tape *tape, kg_dynamics_operators *operators, kg_value q);
 
-/* Velocities of a motion q (..., T, nq) with frames dt apart: central differences of its inner frames,
- * (q_{t+1} - q_{t-1}) / (2 dt) in the tangent space -> (..., T - 2, nv). T >= 3. */
+/* Velocities of a motion q (..., T, nq) with frames dt apart: central differences of its inner
+ * frames, (q_{t+1} - q_{t-1}) / (2 dt) in the tangent space -> (..., T - 2, nv). T >= 3. */
 KG_API kg_value kg_motion_velocities(kg_tape *tape, kg_dynamics_operators *operators, double dt,
                                      kg_value q);
 
-/* Forces f (..., point_count, 3) in the world on the body's points -> generalised forces (..., nv) */
+/* Forces f (..., point_count, 3) in the world on the body's points -> generalised forces (...,
+ * nv) */
 KG_API kg_value kg_point_forces(kg_tape *tape, kg_dynamics_operators *operators, kg_value q,
                                 kg_value f);
 /* Forces of the ground on the body's points (..., point_count, 3); law (6): numbers of

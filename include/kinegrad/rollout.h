@@ -3,9 +3,10 @@
  *   x_{t+1} = step(x_t, tau_t; parameters),  t = 0 .. T-1,   x = (q, v)
  *   L = sum over t of l_t(x_t)   ->   dL/dx_0, dL/dtau_t, dL/dparameters
  *
- * Backward takes one transposed solve a step (kg_step_vjp). Memory: every state, or with checkpoints
- * about 2 sqrt(T) of them, at the price of running once more; the gradient is the same, bit for bit.
- * Long runs in stiff contact have gradients that grow without bound: cut the horizon. */
+ * Backward takes one transposed solve a step (kg_step_vjp). Memory: every state, or with
+ * checkpoints about 2 sqrt(T) of them, at the price of running once more; the gradient is the same,
+ * bit for bit. Long runs in stiff contact have gradients that grow without bound: cut the
+ * horizon. */
 #ifndef KINEGRAD_ROLLOUT_H
 #define KINEGRAD_ROLLOUT_H
 
@@ -35,8 +36,8 @@ typedef struct kg_rollout_report {
   double residual; /* the worst, kg^1/2 m/s                                */
 } kg_rollout_report;
 
-/* Runs T = steps steps from (q, v) under tau (steps, nv), which is borrowed until the last gradient of
- * this run. q_out (steps + 1, nq), v_out (steps + 1, nv), report: NULL where not wanted.
+/* Runs T = steps steps from (q, v) under tau (steps, nv), which is borrowed until the last gradient
+ * of this run. q_out (steps + 1, nq), v_out (steps + 1, nv), report: NULL where not wanted.
  * KG_ERR_UNDEFINED: a step did not converge; what came before it is written. Allocates nothing. */
 KG_API KG_MUST_USE kg_status kg_rollout_run(kg_rollout *rollout, int steps, const double *q,
                                             const double *v, const double *tau, double *q_out,

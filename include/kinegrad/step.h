@@ -4,9 +4,9 @@
  *   G(v') = ID(q', v', (v' - v)/dt) + passive(q', v') - tau - J_c(q')' f_c(q', v') = 0,
  *   q' = q (+) dt v'
  * to |diag(M(q))^-1/2 G dt| <= tolerance (kg^1/2 m/s) by Newton's method: the body is linearised
- * exactly (sparse LU along the tree, leaf to root, no fill-in) and contact is solved with the linear
- * body on its own, three iterations for a step in the mean. What does not converge is repeated in
- * 2, 4, ... sub-steps and counted. Contact: docs/theory/contact.md, section 4. */
+ * exactly (sparse LU along the tree, leaf to root, no fill-in) and contact is solved with the
+ * linear body on its own, three iterations for a step in the mean. What does not converge is
+ * repeated in 2, 4, ... sub-steps and counted. Contact: docs/theory/contact.md, section 4. */
 #ifndef KINEGRAD_STEP_H
 #define KINEGRAD_STEP_H
 
@@ -105,10 +105,11 @@ typedef struct kg_step_gradient {
 
 /* Gradient of q_next_bar . q_next + v_next_bar . v_next (q_next_bar in the tangent space of q_next;
  * nv each) for the step from (q, v) that ended at v_next, by the implicit function theorem: one
- * transposed solve with the exact Jacobian at v_next, however v_next was found. substeps: as reported
- * by kg_step_advance; with more than one the sub-steps are repeated and gone back through.
- * KG_ERR_UNDEFINED, and nothing added: v_next does not solve the step to ten times the tolerance, or
- * the Jacobian is singular. The gradient's arrays must not overlap the arguments. Allocates nothing. */
+ * transposed solve with the exact Jacobian at v_next, however v_next was found. substeps: as
+ * reported by kg_step_advance; with more than one the sub-steps are repeated and gone back through.
+ * KG_ERR_UNDEFINED: v_next does not solve the step to ten times the tolerance, or the Jacobian is
+ * singular; nothing is added then, unless a later sub-step was gone back through before. The
+ * gradient's arrays must not overlap the arguments. Allocates nothing. */
 KG_API KG_MUST_USE kg_status kg_step_vjp(kg_step *step, const kg_step_gradient *gradient,
                                          const double *q, const double *v, const double *tau,
                                          double dt, const double *v_next, int substeps,
