@@ -74,31 +74,54 @@ static kg_mat3 hessian_of(const kg_sdf_value *s)
   return (kg_mat3){{h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2]}};
 }
 
+/* What (7) has of the curvature H of the ground: f_n H - push along (H u)' - mu f_n W du_t/dx */
+static kg_mat3 by_curvature(const kg_mat3 *H, kg_vec3 n, kg_vec3 u, double speed_n, double normal,
+                            double push, kg_vec3 along, const kg_mat3 *dw)
+{
+  const kg_vec3 Hu = kg_mat3_mul_vec(*H, u);
+  const kg_mat3 ut_x =
+    kg_mat3_scale(-1.0, kg_mat3_add(kg_mat3_scale(speed_n, *H), kg_mat3_outer(n, Hu)));
+  const kg_mat3 turned =
+    kg_mat3_add(kg_mat3_scale(normal, *H), kg_mat3_outer(along, kg_vec3_scale(-push, Hu)));
+  return kg_mat3_add(turned, kg_mat3_scale(-1.0, kg_mat3_mul(*dw, ut_x)));
+}
+
+static bool is_flat(const kg_sdf_value *s)
+{
+  bool flat = true;
+  for (int k = 0; k < 6; k++) {
+    flat = flat && s->hessian[k] == 0.0;
+  }
+  return flat;
+}
+
 /* (6) to (8); f_n = N r with elastic N and ramp r, all at one point */
 static void differentiate(const kg_contact_params *p, const kg_sdf_value *s, kg_vec3 u, curve N,
                           curve r, double bound, kg_contact_force *out)
 {
   const kg_vec3 n = s->normal;
-  const kg_mat3 H = hessian_of(s);
   const double speed_n = kg_vec3_dot(n, u);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, n);
   const slip w = friction_slip(p, u_t);
   const double push = p->damping * N.y * r.slope;
-  const kg_vec3 Hu = kg_mat3_mul_vec(H, u);
-  const kg_vec3 fn_x = kg_vec3_add_scaled(kg_vec3_scale(N.slope * r.y, n), -push, Hu); /* (6) */
-  const kg_vec3 fn_u = kg_vec3_scale(-push, n);
-  /* direction in which f grows with f_n: n - mu w(u_t); mu f_n dw/du_t */
+  /* direction in which f grows with f_n: n - mu w(u_t); mu f_n dw/du_t = a 1 - b u_t u_t' */
   const kg_vec3 along = bound < 0.0 ? kg_vec3_add_scaled(n, -p->friction * w.factor, u_t) : n;
   const double mu_fn = p->friction * (bound < 0.0 ? out->normal : bound);
-  const kg_mat3 dw = kg_mat3_add(kg_mat3_scale(mu_fn * w.factor, kg_mat3_identity()),
-                                 kg_mat3_scale(-mu_fn * w.bend, kg_mat3_outer(u_t, u_t)));
-  const kg_mat3 ut_u = kg_mat3_add(kg_mat3_identity(), kg_mat3_scale(-1.0, kg_mat3_outer(n, n)));
-  const kg_mat3 ut_x =
-    kg_mat3_scale(-1.0, kg_mat3_add(kg_mat3_scale(speed_n, H), kg_mat3_outer(n, Hu)));
-  out->df_du = kg_mat3_add(kg_mat3_outer(along, fn_u), /* (8) */
-                           kg_mat3_scale(-1.0, kg_mat3_mul(dw, ut_u)));
-  out->df_dx = kg_mat3_add(kg_mat3_add(kg_mat3_outer(along, fn_x), kg_mat3_scale(out->normal, H)),
-                           kg_mat3_scale(-1.0, kg_mat3_mul(dw, ut_x))); /* (7) */
+  const double a = mu_fn * w.factor, b = mu_fn * w.bend;
+  const kg_vec3 column = kg_vec3_add_scaled(kg_vec3_scale(a, n), -push, along);
+  out->df_du = kg_mat3_add(kg_mat3_outer(column, n), /* (8); u_t u_t' n = 0 */
+                           kg_mat3_outer(kg_vec3_scale(b, u_t), u_t));
+  out->df_dx = kg_mat3_outer(kg_vec3_scale(N.slope * r.y, along), n); /* (7) */
+  for (int k = 0; k < 9; k += 4) {
+    out->df_du.m[k] -= a;
+  }
+  if (!is_flat(s)) {
+    const kg_mat3 H = hessian_of(s);
+    const kg_mat3 dw =
+      kg_mat3_add(kg_mat3_scale(a, kg_mat3_identity()), kg_mat3_scale(-b, kg_mat3_outer(u_t, u_t)));
+    out->df_dx =
+      kg_mat3_add(out->df_dx, by_curvature(&H, n, u, speed_n, out->normal, push, along, &dw));
+  }
 }
 
 bool kg_contact_evaluate_bounded(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,

@@ -72,6 +72,7 @@ static double project(const kg_step *s, kg_candidate *c)
   const double f0 = kg_vec3_dot(n, c->now.f), speed = kg_vec3_dot(n, c->now.u);
   const double f = local_normal(s, at.distance, speed, f0, c->yield_n);
   const double move = c->yield_n * (f - f0);
+  c->touches = f > 0.0;
   const kg_vec3 u_t = kg_vec3_add_scaled(c->now.u, -speed, n);
   const kg_vec3 f_t = kg_vec3_add_scaled(c->now.f, -f0, n);
   const kg_vec3 free = kg_vec3_add_scaled(u_t, -c->yield_t, f_t); /* without friction */
@@ -103,35 +104,6 @@ static void evaluate_law(const kg_step *s, const kg_candidate *c, kg_vec3 x, kg_
 
 /* ---- one iteration -----------------------------------------------------------------------------*/
 
-static void add_block(double *K, int row, int column, const kg_mat3 *A)
-{
-  for (int k = 0; k < 9; k++) {
-    K[6 * (row + k / 3) + column + k % 3] += A->m[k];
-  }
-}
-
-/* K += (X; 1) (w v): wrenches of forces that turn (w) and shift (v) the segment */
-static void add_wrench_rows(double *K, const kg_mat3 *X, const kg_mat3 *w, const kg_mat3 *v)
-{
-  const kg_mat3 Xw = kg_mat3_mul(*X, *w), Xv = kg_mat3_mul(*X, *v);
-  add_block(K, 0, 0, &Xw);
-  add_block(K, 0, 3, &Xv);
-  add_block(K, 3, 0, w);
-  add_block(K, 3, 3, v);
-}
-
-/* (13) force by twist: df/dx (v - [x] w) - df/du [u] w; by change of velocity: df/du (v - [x] w) */
-static void add_derivatives(double *K, double *D, const kg_candidate *c)
-{
-  const kg_mat3 X = kg_mat3_skew(c->trial.x), U = kg_mat3_skew(c->trial.u);
-  const kg_mat3 *Fx = &c->law.df_dx, *Fu = &c->law.df_du;
-  const kg_mat3 FuX = kg_mat3_scale(-1.0, kg_mat3_mul(*Fu, X));
-  const kg_mat3 turn = kg_mat3_add(kg_mat3_mul(*Fx, X), kg_mat3_mul(*Fu, U));
-  const kg_mat3 by_turn = kg_mat3_scale(-1.0, turn);
-  add_wrench_rows(K, &X, &by_turn, Fx);
-  add_wrench_rows(D, &X, &FuX, Fu);
-}
-
 /* The linear law at a place and velocity */
 static kg_vec3 linear_law(const kg_candidate *c, kg_vec3 x, kg_vec3 u)
 {
@@ -153,28 +125,33 @@ static void add_to(double *h, kg_vec3 moment, kg_vec3 force)
 static void linearize_law(kg_step *s)
 {
   kg_small_problem *p = s->small;
+  const kg_physics_kernels *kernels = s->dynamics->kernels;
   memset(p->K, 0, (size_t)p->slots * sizeof *p->K);
   memset(p->D, 0, (size_t)p->slots * sizeof *p->D);
-  memset(p->h, 0, (size_t)(6 * p->slots) * sizeof *p->h);
+  memset(p->h, 0, (size_t)p->stride * sizeof *p->h);
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
-    evaluate_law(s, c, c->x_law, c->u_law, true, &c->law);
+    if (c->touches) {
+      evaluate_law(s, c, c->x_law, c->u_law, true, &c->law);
+    } else {
+      c->law = (kg_contact_force){.normal = 0.0};
+    }
     const kg_vec3 f = kg_vec3_sub(linear_law(c, c->trial.x, c->trial.u), c->trial.f);
     add_to(p->h + 6 * c->slot, kg_vec3_cross(c->trial.x, f), f);
     if (c->law.normal > 0.0) {
-      add_derivatives(p->K[c->slot].m, p->D[c->slot].m, c);
+      const double x[3] = {c->trial.x.x, c->trial.x.y, c->trial.x.z};
+      const double u[3] = {c->trial.u.x, c->trial.u.y, c->trial.u.z};
+      kernels->add_contact(p->K[c->slot].m, p->D[c->slot].m, x, u, c->law.df_dx.m, c->law.df_du.m);
     }
   }
 }
 
-static void add_rows(double *h, const double A[36], kg_motion m)
+/* h += A m */
+static void add_times_motion(const kg_physics_kernels *kernels, double *h, const kg_small_block *A,
+                             kg_motion m)
 {
-  const double x[6] = {m.w.x, m.w.y, m.w.z, m.v.x, m.v.y, m.v.z};
-  for (int r = 0; r < 6; r++) {
-    for (int k = 0; k < 6; k++) {
-      h[r] += A[6 * r + k] * x[k];
-    }
-  }
+  const double x[8] = {m.w.x, m.w.y, m.w.z, m.v.x, m.v.y, m.v.z};
+  kernels->add_rows(h, A->m, x, 8);
 }
 
 /* (14) (1 - K C_xi - D C_nu) h = ... + K xi0 + D nu0 */
@@ -186,8 +163,8 @@ static bool solve_wrenches(kg_step *s)
   for (int j = 0; j < p->slots; j++) {
     const int rows = (p->segment[j] + 1) * 6 * stride;
     double *B = p->B + 6 * j * stride;
-    add_rows(p->h + 6 * j, p->K[j].m, p->xi0[j]);
-    add_rows(p->h + 6 * j, p->D[j].m, p->nu0[j]);
+    add_times_motion(kernels, p->h + 6 * j, &p->K[j], p->xi0[j]);
+    add_times_motion(kernels, p->h + 6 * j, &p->D[j], p->nu0[j]);
     kernels->wrench_rows(B, p->K[j].m, p->D[j].m, p->xi + rows, p->nu + rows, stride);
     for (int r = 0; r < 6; r++) {
       B[r * stride + 6 * j + r] += 1.0;
@@ -196,15 +173,12 @@ static bool solve_wrenches(kg_step *s)
   return kernels->solve_dense(p->B, 6 * p->slots, stride, p->h);
 }
 
-static kg_motion slot_motion(const kg_small_problem *p, int slot, kg_motion m, const double *C)
+static kg_motion slot_motion(const kg_step *s, int slot, kg_motion m, const double *C)
 {
+  const kg_small_problem *p = s->small;
   double x[6] = {m.w.x, m.w.y, m.w.z, m.v.x, m.v.y, m.v.z};
   C += (p->segment[slot] + 1) * 6 * p->stride;
-  for (int r = 0; r < 6; r++, C += p->stride) {
-    for (int k = 0; k < 6 * p->slots; k++) {
-      x[r] += C[k] * p->h[k];
-    }
-  }
+  s->dynamics->kernels->add_rows(x, C, p->h, p->stride);
   return (kg_motion){kg_vec3_make(x[0], x[1], x[2]), kg_vec3_make(x[3], x[4], x[5])};
 }
 
@@ -214,8 +188,8 @@ static void find_next(kg_step *s)
   kg_small_problem *p = s->small;
   kg_motion *xi = p->xi_now, *nu = p->nu_now;
   for (int j = 0; j < p->slots; j++) {
-    xi[j] = slot_motion(p, j, p->xi0[j], p->xi);
-    nu[j] = slot_motion(p, j, p->nu0[j], p->nu);
+    xi[j] = slot_motion(s, j, p->xi0[j], p->xi);
+    nu[j] = slot_motion(s, j, p->nu0[j], p->nu);
   }
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
@@ -299,7 +273,7 @@ static bool solve_law(kg_step *s, double tolerance, int most, kg_small_report *r
 static void start(kg_step *s)
 {
   kg_small_problem *p = s->small;
-  memset(p->h, 0, (size_t)(6 * p->slots) * sizeof *p->h);
+  memset(p->h, 0, (size_t)p->stride * sizeof *p->h);
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
     c->law = (kg_contact_force){.f = c->trial.f};
@@ -420,7 +394,7 @@ static kg_small_result solve(kg_step *s, kg_small_report *report)
 /* h := wrenches of the forces of the iterate */
 static void sum_forces(kg_small_problem *p)
 {
-  memset(p->h, 0, (size_t)(6 * p->slots) * sizeof *p->h);
+  memset(p->h, 0, (size_t)p->stride * sizeof *p->h);
   for (int k = 0; k < p->count; k++) {
     const kg_candidate *c = &p->candidates[k];
     const kg_vec3 f = kg_vec3_sub(c->now.f, c->trial.f);

@@ -23,14 +23,15 @@ typedef struct kg_candidate {
   kg_point_state good;             /* solution of an easier problem                             */
   kg_vec3 x_law, u_law;            /* where the law is linearised                               */
   kg_contact_force law;            /* there                                                     */
+  bool touches;                    /* the law is not zero there                                 */
   double yield_n, yield_t;         /* velocity per force of the point alone, m/s per N          */
   double bound;                    /* of friction over mu, N; < 0: the normal force             */
   double next_bound, change, gain; /* search for the bounds that are normal forces       */
 } kg_candidate;
 
-/* 6x6, row-major */
+/* 6x6, rows of eight numbers, the last two zero */
 typedef struct kg_small_block {
-  double m[36];
+  double m[48];
 } kg_small_block;
 
 typedef struct kg_small_problem {

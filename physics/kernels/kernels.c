@@ -48,6 +48,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
 #endif
   .add_motion = add_motion,
   .wrench_rows = wrench_rows,
+  .add_contact = add_contact,
+  .add_rows = add_rows,
   .solve_dense = solve_dense,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = EIGHT,

@@ -75,6 +75,9 @@ struct kg_physics_kernels {
                      int stride);
   void (*wrench_rows)(double *B, const double *K, const double *D, const double *xi,
                       const double *nu, int stride);
+  void (*add_contact)(double *K, double *D, const double x[3], const double u[3],
+                      const double F_x[9], const double F_u[9]);
+  void (*add_rows)(double *y, const double *C, const double *h, int stride);
   bool (*solve_dense)(double *B, int n, int stride, double *x);
   const kg_number_kernels *one;
   const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
