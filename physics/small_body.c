@@ -80,11 +80,11 @@ static void list_group(kg_step *s, int i)
     if (p->slot_of[i] < 0) {
       take_slot(s, i);
     }
-    p->candidates[p->count++] =
-      (kg_candidate){.point = point,
-                     .slot = p->slot_of[i],
-                     .trial = {x, kg_point_velocity(l, x), p->force[point]},
-                     .bound = -1.0};
+    kg_candidate *c = &p->candidates[p->count++];
+    c->point = point;
+    c->slot = p->slot_of[i];
+    c->trial = (kg_point_state){x, kg_point_velocity(l, x), p->force[point]};
+    c->normal = at.normal;
   }
 }
 
@@ -277,8 +277,7 @@ static void find_yields(kg_step *s)
   const double least = s->dt / s->def.body->mass; /* of the body in one piece */
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
-    const kg_vec3 at = kg_vec3_add(s->dynamics->origin, c->trial.x);
-    const kg_vec3 n = kg_scene_distance(s->def.scene, at).normal;
+    const kg_vec3 n = c->normal;
     const kg_vec3 other = fabs(n.x) < 0.7 ? kg_vec3_make(1, 0, 0) : kg_vec3_make(0, 0, 1);
     const kg_vec3 t1 = kg_vec3_normalized(kg_vec3_cross(n, other)), t2 = kg_vec3_cross(n, t1);
     c->yield_n = fmax(yield_along(p, c, n), least);

@@ -44,8 +44,9 @@ static double local_normal(const kg_step *s, double phi, double speed, double f0
     const double move = y * (f - f0);
     const kg_normal_law n = kg_contact_normal(&s->contact, phi + s->dt * move, speed + move);
     const double g = f - n.force;
-    low = fmax(low, fmin(f, n.force));
-    high = fmin(high, fmax(f, n.force));
+    const double below = g < 0.0 ? f : n.force, above = g < 0.0 ? n.force : f;
+    low = low > below ? low : below;
+    high = high < above ? high : above;
     if (fabs(g) <= 1e-13 * f || high - low <= 1e-15 * high) break;
     f -= g / (1.0 - y * (s->dt * n.by_distance + n.by_speed));
     if (!(f >= low && f <= high)) f = 0.5 * (low + high);
@@ -72,12 +73,18 @@ static double project(const kg_step *s, kg_candidate *c)
   const double f0 = kg_vec3_dot(n, c->now.f), speed = kg_vec3_dot(n, c->now.u);
   const double f = local_normal(s, at.distance, speed, f0, c->yield_n);
   const double move = c->yield_n * (f - f0);
-  c->touches = f > 0.0;
-  const kg_vec3 u_t = kg_vec3_add_scaled(c->now.u, -speed, n);
   const kg_vec3 f_t = kg_vec3_add_scaled(c->now.f, -f0, n);
+  c->touches = f > 0.0;
+  if (!c->touches && f0 == 0.0 && kg_vec3_dot(f_t, f_t) == 0.0) {
+    c->x_law = c->now.x;
+    c->u_law = c->now.u;
+    return 0.0;
+  }
+  const kg_vec3 u_t = kg_vec3_add_scaled(c->now.u, -speed, n);
   const kg_vec3 free = kg_vec3_add_scaled(u_t, -c->yield_t, f_t); /* without friction */
   const double size = kg_vec3_norm(free);
-  const double most = c->yield_t * law->friction * (c->bound < 0.0 ? f : c->bound);
+  const double bound = c->bound < 0.0 || !c->touches ? f : c->bound;
+  const double most = c->yield_t * law->friction * bound;
   const kg_vec3 slip = kg_vec3_scale(size > 0.0 ? local_slip(law, size, most) / size : 0.0, free);
   const kg_vec3 held = kg_vec3_sub(slip, u_t);
   c->u_law = kg_vec3_add_scaled(slip, speed + move, n);
@@ -134,7 +141,8 @@ static void linearize_law(kg_step *s)
     if (c->touches) {
       evaluate_law(s, c, c->x_law, c->u_law, true, &c->law);
     } else {
-      c->law = (kg_contact_force){.normal = 0.0};
+      c->law.normal = 0.0;
+      c->law.f = kg_vec3_make(0.0, 0.0, 0.0);
     }
     const kg_vec3 f = kg_vec3_sub(linear_law(c, c->trial.x, c->trial.u), c->trial.f);
     add_to(p->h + 6 * c->slot, kg_vec3_cross(c->trial.x, f), f);
@@ -276,7 +284,8 @@ static void start(kg_step *s)
   memset(p->h, 0, (size_t)p->stride * sizeof *p->h);
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
-    c->law = (kg_contact_force){.f = c->trial.f};
+    c->law.normal = 0.0;
+    c->law.f = c->trial.f;
     c->bound = -1.0;
   }
   find_next(s);

@@ -21,6 +21,7 @@ typedef struct kg_candidate {
   kg_point_state now;              /* iterate: x and u follow from all f by the linear body     */
   kg_point_state old, next;        /* the iterate before; a whole iteration on                  */
   kg_point_state good;             /* solution of an easier problem                             */
+  kg_vec3 normal;                  /* of the ground, at the trial v'                            */
   kg_vec3 x_law, u_law;            /* where the law is linearised                               */
   kg_contact_force law;            /* there                                                     */
   bool touches;                    /* the law is not zero there                                 */
