@@ -25,7 +25,6 @@ enum {
 };
 
 static const double ARMIJO = 1e-4;
-static const double NEAR = 1e-2;     /* kg^1/2 m/s; way to the law, below it the residual counts */
 static const double TINY_WAY = 1e-8; /* kg^1/2 m/s; rounding                                     */
 static const double ROUGH = 1.0;     /* kg^1/2 m/s; tolerance for softer laws                    */
 static const double BOUNDED = 1e-3;  /* kg^1/2 m/s; tolerance with bounded friction              */
@@ -270,7 +269,8 @@ static bool solve_law(kg_step *s, double tolerance, int most, kg_small_report *r
     report->iterations++;
     find_next(s);
     if (!line_search(s, ways, &way, &alpha, report)) return false;
-    if (alpha == 1.0 && way < fmax(NEAR, tolerance) && mismatch(s) <= tolerance) return true;
+    /* the way is shorter than the residual of the point alone */
+    if (alpha == 1.0 && way <= tolerance && mismatch(s) <= tolerance) return true;
   }
   return false;
 }
