@@ -481,7 +481,7 @@ typedef struct trajectory {
 } trajectory;
 
 /* q_bar . (q' - q'_0) + v_bar . v' for the start moved by s d, v by s e, tau by s f */
-static double end_weighed(const trajectory *t, double s, const double *d)
+static double end_weighed(const trajectory *t, double s, const double *d, int substeps)
 {
   double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], moved[MAX_NV] = {0.0}, q_end[MAX_NQ], v_end[MAX_NV];
   const int nv = t->body->nv;
@@ -493,7 +493,7 @@ static double end_weighed(const trajectory *t, double s, const double *d)
   kg_step_report report;
   kg_body_integrate(t->body, q, t->q, moved);
   kg_step_advance(t->step, q_end, v_end, q, v, tau, t->dt, false, &report);
-  assert_true(report.converged && report.substeps == 1);
+  assert_true(report.converged && report.substeps == substeps);
   kg_body_difference(t->body, moved, q_end, t->q_there);
   double sum = 0.0;
   for (int k = 0; k < nv; k++) {
@@ -502,10 +502,10 @@ static double end_weighed(const trajectory *t, double s, const double *d)
   return sum;
 }
 
-/* Differences of the step as it is called, four sizes extrapolated: what users will try first. */
-static void gradient_equals_differences(void **state)
+/* Differences of the step as it is called, four sizes extrapolated: what users will try first.
+ * iterations: so few that steps of this length have to be divided. */
+static void compare_with_differences(int iterations, double dt, bool divided)
 {
-  (void)state;
   kg_random random = kg_random_make(10);
   kg_body *body = random_tree(&random, 8, NULL);
   kg_joint_passive passive[8];
@@ -513,9 +513,9 @@ static void gradient_equals_differences(void **state)
   kg_step_def def = kg_step_default_def(body);
   def.passive = passive;
   def.tolerance = 1e-13;
-  def.max_substep_levels = 0;
+  def.max_iterations = iterations;
   static trajectory t;
-  t = (trajectory){.step = create_step(&def), .body = body, .dt = 0.01};
+  t = (trajectory){.step = create_step(&def), .body = body, .dt = dt};
   random_state(&random, body, t.q, t.v, t.tau);
   double a[MAX_NV];
   random_state(&random, body, t.q, t.v, a);
@@ -529,14 +529,15 @@ static void gradient_equals_differences(void **state)
   }
   kg_step_report report;
   kg_step_advance(t.step, t.q_there, v_end, t.q, t.v, t.tau, t.dt, false, &report);
-  assert_true(report.residual < 1e-11);
+  const int parts = report.substeps;
+  assert_true(report.converged && divided == (parts > 1));
   const kg_step_gradient g = {.q = got[0], .v = got[1], .tau = got[2]};
-  assert_int_equal(kg_step_vjp(t.step, &g, t.q, t.v, t.tau, t.dt, v_end, 1, t.q_bar, t.v_bar),
+  assert_int_equal(kg_step_vjp(t.step, &g, t.q, t.v, t.tau, t.dt, v_end, parts, t.q_bar, t.v_bar),
                    KG_OK);
   double slope[4], want = 0.0;
   for (int k = 0; k < 4; k++) {
     const double h = 4e-3 / (1 << k);
-    slope[k] = (end_weighed(&t, h, d) - end_weighed(&t, -h, d)) / (2.0 * h);
+    slope[k] = (end_weighed(&t, h, d, parts) - end_weighed(&t, -h, d, parts)) / (2.0 * h);
   }
   for (int level = 1; level < 4; level++) { /* Richardson: errors in even powers of h */
     for (int k = 3; k >= level; k--) {
@@ -548,10 +549,18 @@ static void gradient_equals_differences(void **state)
       want += got[part][k] * d[part * body->nv + k];
     }
   }
-  print_message("gradient along a direction %.15g, by differences %.15g\n", want, slope[3]);
+  print_message("%d sub-steps: gradient along a direction %.15g, by differences %.15g\n", parts,
+                want, slope[3]);
   assert_close(want, slope[3], 1e-9);
   kg_step_destroy(t.step);
   kg_body_destroy(body);
+}
+
+static void gradient_equals_differences(void **state)
+{
+  (void)state;
+  compare_with_differences(50, 0.01, false);
+  compare_with_differences(2, 0.02, true);
 }
 
 /* ---- sub-steps --------------------------------------------------------------------------------*/
