@@ -260,6 +260,68 @@ static void arrays_are_a_cotangent(void **state)
   release(f);
 }
 
+/* Steps that have to be divided, one by one: the same report, the same gradient. */
+static void a_run_is_its_steps(void **state)
+{
+  (void)state;
+  enum { COUNT = 3 };
+  fixture *f = fixture_of(37, false, 1e-8);
+  const int nv = f->body->nv, nq = f->body->nq;
+  kg_step_def def = kg_step_default_def(f->body);
+  def.max_iterations = 2;
+  kg_step_destroy(f->step);
+  assert_int_equal(kg_step_create(&f->step, &def), KG_OK);
+  const kg_rollout_def long_steps = {.step = f->step, .max_steps = COUNT, .dt = 0.04};
+  kg_rollout *r = NULL;
+  assert_int_equal(kg_rollout_create(&r, &long_steps), KG_OK);
+  for (int k = 0; k < nv; k++) {
+    f->v[k] *= 8.0;
+  }
+  kg_rollout_report sum = {0}, report;
+  double q[(COUNT + 1) * MAX_NQ], v[(COUNT + 1) * MAX_NV], q_out[(COUNT + 1) * MAX_NQ];
+  double q_bar[(COUNT + 1) * MAX_NV] = {0.0}, v_bar[(COUNT + 1) * MAX_NV] = {0.0};
+  double tau[COUNT * MAX_NV] = {0.0}, got[COUNT * MAX_NV] = {0.0};
+  int substeps[COUNT];
+  cost c = cost_of(f->body);
+  memcpy(q, f->q, (size_t)nq * sizeof *q);
+  memcpy(v, f->v, (size_t)nv * sizeof *v);
+  for (int t = 0; t < COUNT; t++) {
+    kg_step_report one;
+    kg_step_advance(f->step, q + (t + 1) * nq, v + (t + 1) * nv, q + t * nq, v + t * nv,
+                    f->tau + t * nv, long_steps.dt, false, &one);
+    substeps[t] = one.substeps;
+    sum.steps++;
+    sum.substepped += one.substeps > 1;
+    sum.iterations += one.iterations;
+    sum.residual = fmax(sum.residual, one.residual);
+  }
+  assert_true(sum.substepped > 0);
+  for (int t = COUNT; t >= 0; t--) {
+    add_cost(&c, t, NULL, NULL, q_bar + t * nv, v_bar + t * nv);
+    if (t == 0) break;
+    const kg_step_gradient g = {
+      .q = q_bar + (t - 1) * nv, .v = v_bar + (t - 1) * nv, .tau = tau + (t - 1) * nv};
+    assert_int_equal(kg_step_vjp(f->step, &g, q + (t - 1) * nq, v + (t - 1) * nv,
+                                 f->tau + (t - 1) * nv, long_steps.dt, v + t * nv, substeps[t - 1],
+                                 q_bar + t * nv, v_bar + t * nv),
+                     KG_OK);
+  }
+  assert_int_equal(kg_rollout_run(r, COUNT, f->q, f->v, f->tau, q_out, NULL, &report), KG_OK);
+  assert_int_equal(report.steps, sum.steps);
+  assert_int_equal(report.substepped, sum.substepped);
+  assert_int_equal(report.iterations, sum.iterations);
+  assert_true(report.residual == sum.residual);
+  assert_memory_equal(q, q_out, (size_t)((COUNT + 1) * nq) * sizeof *q);
+  const kg_rollout_gradient g = {.tau = got};
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_OK);
+  for (int k = 0; k < COUNT * nv; k++) {
+    assert_close(got[k], tau[k], 1e-12);
+  }
+  free(c.w);
+  kg_rollout_destroy(r);
+  release(f);
+}
+
 /* ---- refusals ---------------------------------------------------------------------------------*/
 
 static void a_run_that_failed_has_no_gradient(void **state)
@@ -326,6 +388,7 @@ int main(void)
     cmocka_unit_test(gradient_equals_differences),
     cmocka_unit_test(checkpoints_change_no_bit),
     cmocka_unit_test(arrays_are_a_cotangent),
+    cmocka_unit_test(a_run_is_its_steps),
     cmocka_unit_test(a_run_that_failed_has_no_gradient),
     cmocka_unit_test(backward_beside_forward),
   };
