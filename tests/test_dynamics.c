@@ -370,10 +370,15 @@ static void fill_tree_matrix(kg_random *random, const kg_tree *tree, kg_tree_mat
   }
   for (int b = 0; b < tree->blocks; b++) {
     kg_mat3 D = kg_mat3_scale(0.1, kg_tree_low(tree, A, b, tree->depth[b]));
-    D.m[1] += 20.0;
-    D.m[5] -= 20.0;
-    D.m[6] += 20.0;
-    D.m[0] = 0.0;
+    static const int large[2][3] = {{1, 5, 6}, {0, 5, 7}}; /* where the rows have their largest */
+    for (int r = 0; r < 3; r++) {
+      D.m[large[b % 2][r]] += r == 1 ? -20.0 : 20.0;
+    }
+    if (b % 2 == 0) { /* without an exchange of rows the first pivot vanishes, or the second */
+      D.m[0] = 0.0;
+    } else {
+      D.m[4] = D.m[1] * D.m[3] / D.m[0];
+    }
     kg_tree_set_low(tree, A, b, tree->depth[b], &D);
   }
 }
