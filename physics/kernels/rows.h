@@ -145,6 +145,17 @@ static inline void row4_transpose(row4 r[4])
 #endif
 }
 
+/* Three numbers; the fourth is zero. */
+static inline row4 row4_load3(const double *p)
+{
+#ifdef KG_ROW4_IS_VECTOR
+  return (row4){p[0], p[1], p[2], 0.0}; /* not through memory: loads would wait for its stores */
+#else
+  const double four[4] = {p[0], p[1], p[2], 0.0};
+  return row4_load(four);
+#endif
+}
+
 /* The first three numbers alone. */
 static inline void row4_store3(double *p, row4 a)
 {
