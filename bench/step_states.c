@@ -50,7 +50,7 @@ typedef struct clip_data {
 
 /* What came of a set of steps. */
 typedef struct statistics {
-  long count, converged, substepped, fallback, iterations, cuts, contact_iterations;
+  long count, converged, substepped, fallback, iterations, cuts, chord_steps, contact_iterations;
   int most;
   double residual;
   long histogram[MAX_ITERATIONS + 1];
@@ -114,6 +114,7 @@ static void count_step(statistics *s, const kg_step_report *report)
   s->substepped += report->substeps > 1;
   s->fallback += report->used_fallback;
   s->iterations += report->iterations;
+  s->chord_steps += report->chord_steps;
   s->contact_iterations += report->contact_iterations;
   s->cuts += report->cuts;
   s->most = report->iterations > s->most ? report->iterations : s->most;
@@ -138,6 +139,7 @@ static void add_statistics(statistics *sum, const statistics *s)
   sum->substepped += s->substepped;
   sum->fallback += s->fallback;
   sum->iterations += s->iterations;
+  sum->chord_steps += s->chord_steps;
   sum->contact_iterations += s->contact_iterations;
   sum->cuts += s->cuts;
   sum->most = s->most > sum->most ? s->most : sum->most;
@@ -151,20 +153,20 @@ static void print_line(const char *name, const statistics *s)
 {
   if (s->count == 0) return;
   const double n = (double)s->count;
-  printf("%-9s %7ld %9.3f%% %9.3f%% %8.3f%% %6.2f %4d %4d %5d %8.2f %6.2f %9.1e\n", name, s->count,
-         100.0 * (double)s->converged / n, 100.0 * (double)s->substepped / n,
+  printf("%-9s %7ld %9.3f%% %9.3f%% %8.3f%% %6.2f %4d %4d %5d %6.2f %8.2f %6.2f %9.1e\n", name,
+         s->count, 100.0 * (double)s->converged / n, 100.0 * (double)s->substepped / n,
          100.0 * (double)s->fallback / n, (double)s->iterations / n, quantile(s, 0.5),
-         quantile(s, 0.95), s->most, (double)s->contact_iterations / n, (double)s->cuts / n,
-         s->residual);
+         quantile(s, 0.95), s->most, (double)s->chord_steps / n, (double)s->contact_iterations / n,
+         (double)s->cuts / n, s->residual);
 }
 
 static void print_table(const char *title, const statistics of[CLASS_COUNT])
 {
   static statistics all;
   memset(&all, 0, sizeof all);
-  printf("\n%s\n%-9s %7s %10s %10s %9s %6s %4s %4s %5s %8s %6s %9s\n", title, "", "steps",
-         "converged", "substepped", "fallback", "mean", "med", "95%", "most", "contact", "cuts",
-         "residual");
+  printf("\n%s\n%-9s %7s %10s %10s %9s %6s %4s %4s %5s %6s %8s %6s %9s\n", title, "", "steps",
+         "converged", "substepped", "fallback", "mean", "med", "95%", "most", "chord", "contact",
+         "cuts", "residual");
   for (int k = 0; k < CLASS_COUNT; k++) {
     print_line(CLASS_NAMES[k], &of[k]);
     add_statistics(&all, &of[k]);

@@ -161,7 +161,7 @@ static void add_times_motion(const kg_physics_kernels *kernels, double *h, const
   kernels->add_rows(h, A->m, x, 8);
 }
 
-/* (14) (1 - K C_xi - D C_nu) h = ... + K xi0 + D nu0 */
+/* (15) (1 - K C_xi - D C_nu) h = ... + K xi0 + D nu0 */
 static bool solve_wrenches(kg_step *s)
 {
   kg_small_problem *p = s->small;

@@ -48,7 +48,7 @@ typedef struct kg_small_problem {
   double *xi, *nu;            /* (n + 1, 6, stride) what these do: twist, change of velocity    */
   kg_motion *xi0, *nu0;       /* (slots) without any change of wrenches                         */
   kg_motion *xi_now, *nu_now; /* (slots) scratch                                              */
-  kg_small_block *K, *D;      /* (slots) (13) of the law alone                                */
+  kg_small_block *K, *D;      /* (slots) (10), (11) of the law                                */
   double *B;                  /* (6 slots, stride) Jacobian of the small problem                */
   double *h;                  /* (6 slots) change of the wrenches                               */
   double *rest;               /* (6 slots) scratch                                              */

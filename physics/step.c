@@ -163,7 +163,7 @@ static bool find_direction(kg_step *s, const double *x, double m, double *dampin
 
 /* More steps with the factors of the last Jacobian, as long as they promise to reach the tolerance in
  * a few: in the air such a step costs a fifth of one with a new Jacobian. Returns the residual. */
-static double refine(kg_step *s, double *x, double m)
+static double refine(kg_step *s, double *x, double m, kg_step_report *report)
 {
   const int nv = s->def.body->nv;
   bool promising = true;
@@ -172,6 +172,7 @@ static double refine(kg_step *s, double *x, double m)
       s->d[k] = -s->G[k];
     }
     kg_tree_solve(&s->dynamics->tree, &s->J, s->d);
+    report->chord_steps++;
     for (int k = 0; k < nv; k++) {
       s->x_trial[k] = x[k] + s->d[k];
     }
@@ -209,7 +210,7 @@ static double iterate(kg_step *s, double *x, kg_step_report *report)
     if (bounded > MOST_BOUNDED) break;
     m = move(s, x, m, report);
     if (s->small->slots == 0 && damping == 0.0 && isfinite(m)) {
-      m = refine(s, x, m);
+      m = refine(s, x, m, report);
     }
   }
   if (isfinite(best)) {
