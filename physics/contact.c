@@ -19,6 +19,14 @@ kg_contact_params kg_contact_default_params(void)
   return params;
 }
 
+bool kg_contact_params_are_valid(const kg_contact_params *p)
+{
+  const bool law =
+    p->layer > 0.0 && p->force >= 0.0 && p->floor_share > 0.0 && p->floor_share < 1.0;
+  const bool motion = p->damping >= 0.0 && p->friction >= 0.0 && p->stick > 0.0;
+  return law && motion && isfinite(p->layer + p->force + p->damping + p->friction + p->stick);
+}
+
 typedef struct curve {
   double y, slope;
 } curve;

@@ -134,8 +134,7 @@ static kg_status law_of(const kg_rule_item *i, const double *law, kg_contact_par
   *params = i->operators->law;
   if (!law) return KG_OK;
   *params = (kg_contact_params){law[0], law[1], law[2], law[3], law[4], law[5]};
-  const bool valid = law[0] > 0.0 && law[2] > 0.0 && law[5] > 0.0;
-  return valid ? finite_or_undefined(law, KG_CONTACT_PARAM_COUNT) : KG_ERR_UNDEFINED;
+  return kg_contact_params_are_valid(params) ? KG_OK : KG_ERR_UNDEFINED;
 }
 
 static kg_status contact_forces(const kg_rule_item *i)

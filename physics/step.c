@@ -41,6 +41,7 @@ static kg_status create_parts(kg_step *s)
 kg_status kg_step_create(kg_step **step, const kg_step_def *def)
 {
   KG_ASSERT(def->body && def->tolerance > 0.0 && def->max_substep_levels >= 0);
+  KG_ASSERT(kg_contact_params_are_valid(&def->contact));
   *step = NULL;
   const kg_body *body = def->body;
   kg_arena arena;

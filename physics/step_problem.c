@@ -24,6 +24,7 @@ static void bound_group(point_group *g, const int *order, const kg_body *body)
     high = kg_vec3_make(fmax(high.x, p.x), fmax(high.y, p.y), fmax(high.z, p.z));
   }
   g->centre = kg_vec3_lerp(low, high, 0.5);
+  g->radius = 0.0;
   for (int k = g->first; k < g->first + g->count; k++) {
     const kg_vec3 arm = kg_vec3_sub(body->points[order[k]].p, g->centre);
     g->radius = fmax(g->radius, kg_vec3_norm(arm));
@@ -51,6 +52,7 @@ void kg_step_group_points(kg_step *s)
 
 void kg_step_set_contact(kg_step *step, const kg_contact_params *contact)
 {
+  KG_ASSERT(kg_contact_params_are_valid(contact));
   step->def.contact = step->contact = *contact;
   step->evaluated = false;
 }
@@ -58,6 +60,11 @@ void kg_step_set_contact(kg_step *step, const kg_contact_params *contact)
 void kg_step_refresh(kg_step *step)
 {
   kg_dynamics_refresh(step->dynamics);
+  for (int i = 0; i < step->def.body->segment_count; i++) {
+    if (step->groups[i].count > 0) {
+      bound_group(&step->groups[i], step->order, step->def.body);
+    }
+  }
   step->evaluated = false;
 }
 
@@ -168,7 +175,8 @@ void kg_step_set_scale(kg_step *s)
   kg_links_pose(s->dynamics, s->q);
   kg_links_mass_diagonal(s->dynamics, s->scale);
   for (int k = 0; k < s->def.body->nv; k++) {
-    s->scale[k] = s->dt / sqrt(fmax(s->scale[k], SMALLEST_INERTIA));
+    const double inertia = s->scale[k]; /* one that is not a number stays one */
+    s->scale[k] = s->dt / sqrt(inertia < SMALLEST_INERTIA ? SMALLEST_INERTIA : inertia);
   }
 }
 

@@ -100,6 +100,18 @@ static void matrix_and_quaternion_rotate_alike(void **state)
   }
 }
 
+static void a_quaternion_without_direction_is_not_hidden(void **state)
+{
+  (void)state;
+  const double values[] = {NAN, INFINITY, 1e300};
+  for (int k = 0; k < 3; k++) {
+    const kg_quat q = kg_quat_normalized(kg_quat_make(1.0, values[k], 0.0, 0.0));
+    assert_true(isnan(q.w) && isnan(q.x));
+  }
+  assert_true(kg_quat_normalized(kg_quat_make(0.0, 0.0, 0.0, 0.0)).w == 1.0);
+  assert_close(kg_quat_normalized(kg_quat_make(3.0, 0.0, 4.0, 0.0)).y, 0.8, 1e-15);
+}
+
 static void right_jacobian_matches_differences(void **state)
 {
   (void)state;
@@ -160,6 +172,7 @@ int main(void)
     cmocka_unit_test(exp_and_log_are_inverse_at_all_sizes),
     cmocka_unit_test(exponential_and_right_jacobian_are_right_to_rounding),
     cmocka_unit_test(matrix_and_quaternion_rotate_alike),
+    cmocka_unit_test(a_quaternion_without_direction_is_not_hidden),
     cmocka_unit_test(right_jacobian_matches_differences),
     cmocka_unit_test(random_numbers_have_their_moments_and_repeat),
     cmocka_unit_test(every_status_has_its_own_text),

@@ -221,6 +221,28 @@ static void zero_slip_divides_by_nothing(void **state)
   }
 }
 
+static void laws_without_a_meaning_are_not_valid(void **state)
+{
+  (void)state;
+  const kg_contact_params good = kg_contact_default_params();
+  assert_true(kg_contact_params_are_valid(&good));
+  kg_contact_params bad = good;
+  double *const numbers[] = {&bad.layer,   &bad.force,    &bad.floor_share,
+                             &bad.damping, &bad.friction, &bad.stick};
+  for (size_t k = 0; k < KG_COUNT_OF(numbers); k++) {
+    const double values[] = {-1.0, NAN, INFINITY};
+    for (size_t j = 0; j < KG_COUNT_OF(values); j++) {
+      bad = good;
+      *numbers[k] = values[j];
+      assert_false(kg_contact_params_are_valid(&bad));
+    }
+    bad = good;
+    *numbers[k] = 0.0;
+    const bool may_vanish = k == 1 || k == 3 || k == 4;
+    assert_true(kg_contact_params_are_valid(&bad) == may_vanish);
+  }
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -229,6 +251,7 @@ int main(void)
     cmocka_unit_test(derivatives_match_differences),
     cmocka_unit_test(derivative_is_continuous_at_every_kink),
     cmocka_unit_test(zero_slip_divides_by_nothing),
+    cmocka_unit_test(laws_without_a_meaning_are_not_valid),
   };
   return cmocka_run_group_tests_name("contact", tests, NULL, NULL);
 }

@@ -520,6 +520,53 @@ static void failure_is_reported_and_divided(void **state)
   kg_body_destroy(body);
 }
 
+/* whatever number of the call is none: said, and no pose that looks like an answer */
+static void numbers_that_are_none_do_not_converge(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  const double none[] = {NAN, INFINITY, -INFINITY, 1e300};
+  for (int trial = 0; trial < 12; trial++) {
+    double q[MAX_NQ], v[MAX_NV] = {0.0}, tau[MAX_NV] = {0.0}, q_next[MAX_NQ], v_next[MAX_NV];
+    rest_state(body, trial % 2 ? 2.0 : human_root_height + 0.003, q);
+    double *const arrays[] = {q + 4, v + 7, tau + 8};
+    *arrays[trial / 4] = none[trial % 4];
+    kg_step_report report;
+    kg_step_advance(s, q_next, v_next, q, v, tau, 0.01, false, &report);
+    assert_false(report.converged);
+  }
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
+/* points of the body may move: none is missed because of where they were */
+static void contact_follows_the_points_of_the_body(void **state)
+{
+  (void)state;
+  kg_body *body = box_body(10.0, kg_vec3_make(0.1, 0.1, 0.1));
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  double q[MAX_NQ], v[MAX_NV] = {0.0}, G[MAX_NV];
+  rest_state(body, 0.203, q);
+  kg_step_report report;
+  kg_step_residual(s, G, NULL, v, q, v, NULL, 0.01, &report);
+  assert_int_equal(report.contact_count, 0);
+  for (int k = 0; k < body->point_count; k++) {
+    body->points[k].p.y *= 2.0;
+  }
+  kg_step_refresh(s);
+  kg_step_residual(s, G, NULL, v, q, v, NULL, 0.01, &report);
+  assert_int_equal(report.contact_count, 4);
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
 static void same_input_gives_the_same_bits(void **state)
 {
   (void)state;
@@ -655,6 +702,8 @@ int main(void)
     cmocka_unit_test(newton_converges_on_random_contact_states),
     cmocka_unit_test(contact_list_matches_brute_force),
     cmocka_unit_test(failure_is_reported_and_divided),
+    cmocka_unit_test(numbers_that_are_none_do_not_converge),
+    cmocka_unit_test(contact_follows_the_points_of_the_body),
     cmocka_unit_test(same_input_gives_the_same_bits),
     cmocka_unit_test(survives_every_allocation_failure_and_then_allocates_nothing),
     cmocka_unit_test(timings),

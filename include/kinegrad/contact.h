@@ -30,6 +30,9 @@ typedef struct kg_contact_params {
 } kg_contact_params;
 
 KG_API kg_contact_params kg_contact_default_params(void);
+/* Finite; layer, stick and floor_share above zero, floor_share below one, the others not negative:
+ * what every call here and kg_step ask for. */
+KG_API bool kg_contact_params_are_valid(const kg_contact_params *params);
 
 typedef struct kg_contact_force {
   kg_vec3 f;         /* N, on the body, world axes                            */

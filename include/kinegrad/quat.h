@@ -11,6 +11,8 @@
 #include "kinegrad/base.h"
 #include "kinegrad/vec3.h"
 
+#include <float.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -52,14 +54,14 @@ static inline double kg_quat_dot(kg_quat a, kg_quat b)
   return a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-/* q / |q|; the zero quaternion gives the identity */
+/* q / |q|; the zero quaternion gives the identity, one whose norm is not a finite number NaN */
 static inline kg_quat kg_quat_normalized(kg_quat q)
 {
   const double n = sqrt(kg_quat_dot(q, q));
-  if (!(n > 0.0)) {
+  if (n == 0.0) {
     return kg_quat_identity();
   }
-  const double s = 1.0 / n;
+  const double s = n <= DBL_MAX ? 1.0 / n : NAN;
   return kg_quat_make(s * q.w, s * q.x, s * q.y, s * q.z);
 }
 

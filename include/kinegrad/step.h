@@ -76,7 +76,8 @@ KG_API KG_MUST_USE kg_status kg_step_create(kg_step **step, const kg_step_def *d
 KG_API void kg_step_destroy(kg_step *step);
 /* Another contact law from here on. */
 KG_API void kg_step_set_contact(kg_step *step, const kg_contact_params *contact);
-/* Call it after masses, inertias, centres of mass or offsets of the body have changed. */
+/* Call it after masses, inertias, centres of mass, offsets or contact points of the body have
+ * changed. */
 KG_API void kg_step_refresh(kg_step *step);
 
 /* One step of dt seconds. q_next[nq], v_next[nv]: out; v_next is also the starting guess when
