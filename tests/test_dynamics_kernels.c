@@ -541,6 +541,38 @@ static void matrices_do_not_depend_on_the_instruction_set(void **unused)
   }
 }
 
+/* After creation no call takes memory: the allocator is not asked again. */
+static void calls_take_no_memory(void **unused)
+{
+  (void)unused;
+  kg_random random = kg_random_make(49);
+  kg_body *body = human_body();
+  failing_heap heap = {.calls_left = 1000};
+  const kg_allocator allocator = {failing_alloc, failing_free, &heap};
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, &allocator), KG_OK);
+  const int left = heap.calls_left;
+  static clip c;
+  static double D[3][BIG_NV * BIG_NV], out[FRAMES * BIG_NV];
+  static kg_vec3 p[FRAMES * 40], w[FRAMES * 40];
+  random_clip(&random, body, &c);
+  kg_dynamics_inverse(d, out, c.q, c.v, c.a);
+  kg_dynamics_forward(d, out, c.q, c.v, c.a);
+  kg_dynamics_mass_solve(d, out, c.q);
+  kg_dynamics_mass_matrix(d, D[0], c.q);
+  kg_dynamics_inverse_derivatives(d, D[0], D[1], D[2], out, c.q, c.v, c.a);
+  kg_dynamics_forward_derivatives(d, D[0], D[1], D[2], out, c.q, c.v, c.a);
+  kg_dynamics_inverse_many(d, FRAMES, out, c.q, c.v, c.a);
+  kg_dynamics_forward_many(d, FRAMES, out, c.q, c.v, c.a);
+  kg_dynamics_velocity_many(d, FRAMES, c.q, c.v, p, NULL, NULL, w);
+  kg_dynamics_acceleration(d, c.q, c.v, c.a, p, w);
+  kg_dynamics_centroidal_matrix(d, D[0], c.q);
+  assert_int_equal(heap.calls_left, left);
+  kg_dynamics_destroy(d);
+  assert_int_equal(heap.live_bytes, 0);
+  kg_body_destroy(body);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -552,6 +584,7 @@ int main(void)
     cmocka_unit_test(ball_joints_inside_the_tree_have_exact_derivatives),
     cmocka_unit_test(eight_frames_equal_one_bit_for_bit),
     cmocka_unit_test(matrices_do_not_depend_on_the_instruction_set),
+    cmocka_unit_test(calls_take_no_memory),
   };
   return cmocka_run_group_tests_name("dynamics_kernels", tests, NULL, NULL);
 }
