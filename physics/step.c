@@ -149,6 +149,7 @@ static bool find_direction(kg_step *s, const double *x, double m, double *dampin
   for (int trial = 0; trial < DAMPINGS; trial++) {
     found = kg_small_direction(s, s->d, x, m, *damping, &small);
     report->iterations++;
+    if (s->small->slots == 0) break; /* in the air the step is cut instead */
     if (found && small.exact && longest_share(s) >= 1.0) break;
     *damping = fmax(FIRST_DAMPING, 4.0 * *damping);
   }
@@ -227,8 +228,9 @@ static bool solve_once(kg_step *s, const double *q, const double *v, double dt, 
 {
   kg_step_set_problem(s, q, v, s->tau, dt);
   kg_step_set_scale(s);
+  const bool guessed = memcmp(x, v, (size_t)s->def.body->nv * sizeof *x) != 0;
   double m = iterate(s, x, report);
-  if (!isfinite(m)) { /* the guess has no residual */
+  if (!(m <= s->def.tolerance) && guessed) { /* a guess may be worse than none */
     memcpy(x, v, (size_t)s->def.body->nv * sizeof *x);
     m = iterate(s, x, report);
   }
@@ -300,6 +302,9 @@ void kg_step_advance(kg_step *step, double *q_next, double *v_next, const double
   }
   memcpy(v_next, s->x, v_bytes);
   memcpy(q_next, s->q_end, (size_t)body->nq * sizeof *q);
+  for (int k = 0; k < 3; k++) { /* in the air no residual depends on the place */
+    own.converged = own.converged && isfinite(q_next[k]);
+  }
   own.contact_count = s->contact_count;
   own.contacts = s->contacts;
   if (report) {

@@ -520,6 +520,42 @@ static void failure_is_reported_and_divided(void **state)
   kg_body_destroy(body);
 }
 
+/* 10 rad/s^2 on every joint, or a guess far off: no reason to divide a step in the air */
+static void strong_torques_in_the_air_need_no_substeps(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(5);
+  kg_body *body = human_body();
+  kg_dynamics *d = NULL;
+  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
+  kg_step_def def = kg_step_default_def(body);
+  kg_step *s = step_of(&def);
+  static double M[MAX_NV * MAX_NV];
+  for (int trial = 0; trial < 60; trial++) {
+    double q[MAX_NQ], v[MAX_NV], tau[MAX_NV] = {0.0}, q_next[MAX_NQ], v_next[MAX_NV], again[MAX_NV];
+    human_state(&random, body, 0, q, v);
+    kg_dynamics_mass_matrix(d, M, q);
+    for (int k = 0; k < body->nv; k++) {
+      v[k] *= 0.15;
+      tau[k] = k < 6 ? 0.0 : 10.0 * M[k * body->nv + k] * kg_random_normal(&random);
+      again[k] = 1e6 * kg_random_normal(&random);
+    }
+    kg_step_report report;
+    kg_step_advance(s, q_next, v_next, q, v, tau, 0.01, false, &report);
+    assert_true(report.converged);
+    assert_int_equal(report.substeps, 1);
+    kg_step_advance(s, q_next, again, q, v, tau, 0.01, true, &report);
+    assert_true(report.converged);
+    assert_int_equal(report.substeps, 1);
+    for (int k = 0; k < body->nv; k++) {
+      assert_close(again[k], v_next[k], 1e-5);
+    }
+  }
+  kg_step_destroy(s);
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
 /* whatever number of the call is none: said, and no pose that looks like an answer */
 static void numbers_that_are_none_do_not_converge(void **state)
 {
@@ -530,10 +566,10 @@ static void numbers_that_are_none_do_not_converge(void **state)
   def.scene = &scene;
   kg_step *s = step_of(&def);
   const double none[] = {NAN, INFINITY, -INFINITY, 1e300};
-  for (int trial = 0; trial < 12; trial++) {
+  for (int trial = 0; trial < 15; trial++) { /* a place of 1e300 m is a number */
     double q[MAX_NQ], v[MAX_NV] = {0.0}, tau[MAX_NV] = {0.0}, q_next[MAX_NQ], v_next[MAX_NV];
     rest_state(body, trial % 2 ? 2.0 : human_root_height + 0.003, q);
-    double *const arrays[] = {q + 4, v + 7, tau + 8};
+    double *const arrays[] = {q + 4, v + 7, tau + 8, q + 1};
     *arrays[trial / 4] = none[trial % 4];
     kg_step_report report;
     kg_step_advance(s, q_next, v_next, q, v, tau, 0.01, false, &report);
@@ -702,6 +738,7 @@ int main(void)
     cmocka_unit_test(newton_converges_on_random_contact_states),
     cmocka_unit_test(contact_list_matches_brute_force),
     cmocka_unit_test(failure_is_reported_and_divided),
+    cmocka_unit_test(strong_torques_in_the_air_need_no_substeps),
     cmocka_unit_test(numbers_that_are_none_do_not_converge),
     cmocka_unit_test(contact_follows_the_points_of_the_body),
     cmocka_unit_test(same_input_gives_the_same_bits),
