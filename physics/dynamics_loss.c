@@ -3,6 +3,7 @@
  * Equation numbers: docs/theory/dynamics.md, section 9. */
 #include "kinegrad/losses.h"
 
+#include "autodiff/tape.h"
 #include "physics/operators.h"
 
 /* `count` frames from `first` on; frames are `behind` axes before the last */
@@ -90,9 +91,23 @@ static kg_value physical(kg_tape *tape, kg_dynamics_operators *operators, double
   return kg_joint_accelerations(tape, operators, at, v, a);
 }
 
+/* Whether an operand, if there is one, has as many frames as q; refused otherwise. */
+static bool frames_fit(kg_tape *tape, kg_value q, kg_value x, int behind, const char *name)
+{
+  const int wanted = frame_count(tape, q, 1), count = frame_count(tape, x, behind);
+  if (kg_is_null(x) || count == wanted) return true;
+  kg_refuse(tape, KG_ERR_SHAPE, "dynamics_loss", "%s has %d frames, q has %d", name, count, wanted);
+  return false;
+}
+
 kg_value kg_dynamics_loss(kg_tape *tape, kg_dynamics_operators *operators, double dt, kg_value q,
                           kg_value positions, kg_value tau, kg_value forces)
 {
+  if (kg_is_null(q) || kg_is_null(tau)) return (kg_value){0}; /* the tape holds why */
+  if (!frames_fit(tape, q, tau, 1, "tau") || !frames_fit(tape, q, forces, 2, "forces") ||
+      !frames_fit(tape, q, positions, 2, "positions")) {
+    return (kg_value){0};
+  }
   const kg_value places =
     kg_is_null(positions) ? kg_joint_positions(tape, operators, q) : positions;
   const kg_value mocap = differences(tape, dt, places);

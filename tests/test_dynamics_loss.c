@@ -242,12 +242,45 @@ static void too_few_frames_are_refused(void **state)
   release(&f);
 }
 
+/* Torques and forces have the frames of the motion: not fewer, and not more. */
+static void other_frames_are_refused(void **state)
+{
+  (void)state;
+  fixture f = fixture_of(box_body(3.0, kg_vec3_make(0.1, 0.1, 0.3)));
+  double q[FRAMES * 7] = {0.0};
+  for (int t = 0; t < FRAMES; t++) {
+    q[7 * t + 3] = 1.0;
+  }
+  const kg_tape_mark empty = {0};
+  for (int frames = 1; frames <= 2 * FRAMES; frames++) {
+    for (int kind = 0; kind < 3; kind++) {
+      const kg_value Q = kg_input(f.tape, KG_SHAPE(FRAMES, 7), q), none = {0};
+      const int of[3] = {kind == 0 ? frames : FRAMES, kind == 1 ? frames : FRAMES,
+                         kind == 2 ? frames : FRAMES};
+      const kg_value T = kg_input(f.tape, KG_SHAPE(of[0], 6), NULL);
+      const kg_value F = kg_input(f.tape, KG_SHAPE(of[1], 8, 3), NULL);
+      const kg_value P = kg_input(f.tape, KG_SHAPE(of[2], 1, 3), NULL);
+      const kg_value loss =
+        kg_dynamics_loss(f.tape, f.operators, DT, Q, kind == 2 ? P : none, T, F);
+      assert_true(kg_is_null(loss) == (frames != FRAMES));
+      if (frames != FRAMES) {
+        char counts[40];
+        (void)snprintf(counts, sizeof counts, "%d frames, q has %d", frames, FRAMES);
+        assert_int_equal(kg_tape_status(f.tape), KG_ERR_SHAPE);
+        assert_non_null(strstr(kg_tape_error(f.tape)->text, counts));
+      }
+      kg_tape_rewind(f.tape, empty);
+    }
+  }
+  release(&f);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(value_equals_plain_calls),   cmocka_unit_test(rest_needs_forces),
     cmocka_unit_test(flight_needs_nothing),       cmocka_unit_test(gradient_passes_the_check),
-    cmocka_unit_test(too_few_frames_are_refused),
+    cmocka_unit_test(too_few_frames_are_refused), cmocka_unit_test(other_frames_are_refused),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }
