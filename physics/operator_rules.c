@@ -188,6 +188,7 @@ static kg_status prepare_step(const kg_rule_item *i)
   kg_step_set_contact(o->step, &law);
   const bool changes = i->in[4] || i->in[5];
   if (!changes && !o->changed) return KG_OK;
+  o->changed = true; /* also when a mass is refused half-way */
   for (int s = 0; s < o->body->segment_count; s++) {
     kg_segment *segment = &o->body->segments[s];
     segment->mass = i->in[4] ? i->in[4][s] : o->source->segments[s].mass;

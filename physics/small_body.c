@@ -40,16 +40,27 @@ kg_small_problem *kg_small_create(const kg_body *body, kg_arena *arena)
   return p;
 }
 
+/* as the segments are now: masses may have changed since the body was made */
+static double whole_mass(const kg_step *s)
+{
+  double sum = 0.0;
+  for (int i = 0; i < s->dynamics->n; i++) {
+    sum += s->dynamics->links[i].mass;
+  }
+  return sum;
+}
+
 void kg_small_begin(kg_step *s)
 {
   kg_small_problem *p = s->small;
   memset(p->force, 0, (size_t)s->def.body->point_count * sizeof *p->force);
   kg_step_evaluate_start(s);
   double load = 0.0;
+  const double heaviest = LARGEST_LOAD * whole_mass(s);
   for (int k = 0; k < s->contact_count; k++) {
     load += s->contacts[k].force.normal;
   }
-  for (int k = 0; k < s->contact_count && load < LARGEST_LOAD * s->def.body->mass; k++) {
+  for (int k = 0; k < s->contact_count && load < heaviest; k++) {
     p->force[s->contacts[k].point] = s->contacts[k].force.f;
   }
 }
@@ -274,7 +285,7 @@ static double yield_along(const kg_small_problem *p, const kg_candidate *c, kg_v
 static void find_yields(kg_step *s)
 {
   kg_small_problem *p = s->small;
-  const double least = s->dt / s->def.body->mass; /* of the body in one piece */
+  const double least = s->dt / whole_mass(s); /* of the body in one piece */
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
     const kg_vec3 n = c->normal;

@@ -406,6 +406,86 @@ static void forward_adjoint_equals_the_matrices(void **state)
   assert_at_most(worst, 1e-11);
 }
 
+/* ---- masses and offsets -----------------------------------------------------------------------*/
+
+/* The body itself with other masses or offsets, stepped without the tape. */
+static void plain_step(const kg_step_def *def, const kg_body *like, const double *masses,
+                       const double *offsets, const double *q, const double *v, double *next)
+{
+  kg_segment segments[HUMAN_SEGMENTS];
+  kg_body *body = NULL;
+  kg_step *step = NULL;
+  kg_step_report report;
+  memcpy(segments, like->segments, (size_t)like->segment_count * sizeof *segments);
+  for (int i = 0; i < like->segment_count; i++) {
+    if (masses) segments[i].mass = masses[i];
+    if (offsets) memcpy(&segments[i].offset, offsets + 3 * i, sizeof(kg_vec3));
+  }
+  assert_int_equal(
+    kg_body_create(&body, segments, like->segment_count, like->points, like->point_count, NULL),
+    KG_OK);
+  kg_step_def own = *def;
+  own.body = body;
+  assert_int_equal(kg_step_create(&step, &own), KG_OK);
+  kg_step_advance(step, next, next + body->nq, q, v, NULL, DT, false, &report);
+  assert_true(report.converged);
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+/* Masses and offsets of one call are those of this call alone, forward and backward, to the bit:
+ * nothing of the call before is left, the sum of the masses neither. */
+static void masses_are_of_one_call(void **state)
+{
+  (void)state;
+  enum { N = HUMAN_SEGMENTS };
+  kg_random random = kg_random_make(28);
+  kg_body *body = human_body();
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_dynamics_operators *o = NULL;
+  kg_tape *t = NULL;
+  assert_int_equal(kg_dynamics_operators_create(&o, &def, DT), KG_OK);
+  assert_int_equal(kg_tape_create(NULL, &t, NULL), KG_OK);
+  double q[MAX_NQ], v[MAX_NV] = {0.0}, masses[3][N], offsets[3 * N], zero[MAX_NV] = {0.0};
+  rest_state(body, human_root_height + 0.002, q);
+  for (int k = 0; k < body->nv; k++) {
+    v[k] = 0.05 * kg_random_normal(&random);
+  }
+  const double factor[3] = {1.5, 100.0, 0.01};
+  for (int i = 0; i < N; i++) {
+    const kg_vec3 offset = kg_vec3_scale(1.01, body->segments[i].offset);
+    for (int k = 0; k < 3; k++) {
+      masses[k][i] = factor[k] * body->segments[i].mass;
+    }
+    memcpy(offsets + 3 * i, &offset, sizeof offset);
+  }
+  const struct {
+    const double *masses, *offsets;
+  } calls[] = {{NULL, NULL},    {masses[0], NULL}, {NULL, NULL}, {masses[1], offsets},
+               {NULL, offsets}, {masses[2], NULL}, {NULL, NULL}, {masses[1], NULL}};
+  const kg_value Q = kg_input(t, KG_SHAPE(body->nq), q), V = kg_input(t, KG_SHAPE(body->nv), v);
+  const kg_value tau = kg_input(t, KG_SHAPE(body->nv), zero), none = {0};
+  for (size_t k = 0; k < KG_COUNT_OF(calls); k++) {
+    const kg_value M = calls[k].masses ? kg_input(t, KG_SHAPE(N), calls[k].masses) : none;
+    const kg_value O = calls[k].offsets ? kg_input(t, KG_SHAPE(N, 3), calls[k].offsets) : none;
+    double want[MAX_NQ + MAX_NV];
+    const kg_value next = kg_implicit_step(t, o, Q, V, tau, none, M, O);
+    assert_int_equal(kg_tape_status(t), KG_OK);
+    plain_step(&def, body, calls[k].masses, calls[k].offsets, q, v, want);
+    for (int c = 0; c < body->nq + body->nv; c++) {
+      if (kg_item_at(t, next, (size_t)c) != want[c]) {
+        fail_msg("call %zu, number %d: %.17g, alone %.17g", k, c, kg_item_at(t, next, (size_t)c),
+                 want[c]);
+      }
+    }
+  }
+  kg_tape_destroy(t);
+  kg_dynamics_operators_destroy(o);
+  kg_body_destroy(body);
+}
+
 /* ---- refusals ---------------------------------------------------------------------------------*/
 
 static void wrong_operands_are_refused(void **state)
@@ -460,6 +540,7 @@ int main(void)
     cmocka_unit_test(gradients_are_tangent_to_the_sphere),
     cmocka_unit_test(adjoints_equal_complex_steps),
     cmocka_unit_test(forward_adjoint_equals_the_matrices),
+    cmocka_unit_test(masses_are_of_one_call),
     cmocka_unit_test(wrong_operands_are_refused),
     cmocka_unit_test(failed_creation_leaks_nothing),
   };
