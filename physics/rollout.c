@@ -1,9 +1,9 @@
 /* Runs of implicit steps and their gradients.
  *
- * A run is cut into segments of `interval` steps. The states at their beginnings are kept, and all
- * states of one segment: of the only one, or, with checkpoints, of one that is run again when the
- * way back arrives there. A step is a function of its arguments alone, so it ends in the same
- * bits. */
+ * A run is cut into segments of `interval` steps. The states at their beginnings and the last one
+ * are kept, and all states of one segment: of the only one, or, with checkpoints, of one that is run
+ * again when the way back arrives there. A step is a function of its arguments alone, so it ends in
+ * the same bits, which is checked. */
 #include "kinegrad/rollout.h"
 
 #include "physics/step_problem.h"
@@ -17,7 +17,7 @@ struct kg_rollout {
   int steps; /* of the last run                                   */
   bool converged;
   const double *tau;       /* of the last run                                   */
-  double *q_kept, *v_kept; /* states at the beginnings of segments        */
+  double *q_kept, *v_kept; /* states at the beginnings of segments, and the last */
   double *q, *v;           /* interval + 1 states                               */
   int *substeps;           /* interval                                          */
   int loaded;              /* the segment that is in them                       */
@@ -48,8 +48,8 @@ kg_status kg_rollout_create(kg_rollout **rollout, const kg_rollout_def *def)
   made.interval = def->checkpoints ? root_of(def->max_steps) : def->max_steps;
   const size_t segments = (size_t)((def->max_steps + made.interval - 1) / made.interval);
   const size_t states = (size_t)made.interval + 1;
-  made.q_kept = KG_ARENA_ARRAY(&arena, double, segments *nq);
-  made.v_kept = KG_ARENA_ARRAY(&arena, double, segments *nv);
+  made.q_kept = KG_ARENA_ARRAY(&arena, double, (segments + 1) * nq);
+  made.v_kept = KG_ARENA_ARRAY(&arena, double, (segments + 1) * nv);
   made.q = KG_ARENA_ARRAY(&arena, double, states *nq);
   made.v = KG_ARENA_ARRAY(&arena, double, states *nv);
   made.substeps = KG_ARENA_ARRAY(&arena, int, states);
@@ -134,7 +134,7 @@ static void add_report(kg_rollout_report *sum, const kg_step_report *step)
 kg_status kg_rollout_run(kg_rollout *rollout, int steps, const double *q, const double *v,
                          const double *tau, double *q_out, double *v_out, kg_rollout_report *report)
 {
-  KG_ASSERT(steps > 0 && steps <= rollout->def.max_steps);
+  if (steps < 1 || steps > rollout->def.max_steps) return KG_ERR_SHAPE;
   kg_rollout *r = rollout;
   kg_rollout_report own = {0};
   r->steps = steps;
@@ -154,6 +154,8 @@ kg_status kg_rollout_run(kg_rollout *rollout, int steps, const double *q, const 
     r->converged = one.converged;
     write_state(r, t + 1, k + 1, q_out, v_out);
   }
+  const int last = (steps - 1) / r->interval, end = steps - last * r->interval;
+  if (r->converged) keep(r, last + 1, q_at(r, end), v_at(r, end));
   if (report) *report = own;
   return r->converged ? KG_OK : KG_ERR_UNDEFINED;
 }
@@ -172,15 +174,28 @@ void kg_rollout_add_arrays(void *arrays, int t, const double *q, const double *v
   }
 }
 
-/* Runs a segment again unless it is there. */
-static void ensure_loaded(kg_rollout *r, int segment)
+/* whether the loaded segment, run up to its state k, ends in the very state that was kept */
+static bool meets_kept(const kg_rollout *r, int k)
 {
-  if (r->loaded == segment) return;
-  const int first = segment * r->interval;
+  const size_t next = (size_t)r->loaded + 1, nq = (size_t)r->nq, nv = (size_t)r->nv;
+  return memcmp(q_at(r, k), r->q_kept + next * nq, nq * sizeof(double)) == 0 &&
+         memcmp(v_at(r, k), r->v_kept + next * nv, nv * sizeof(double)) == 0;
+}
+
+/* Runs a segment again unless it is there. Fails when it goes another way than it did. */
+static kg_status ensure_loaded(kg_rollout *r, int segment)
+{
+  if (r->loaded == segment) return KG_OK;
+  const int first = segment * r->interval, left = r->steps - first;
+  const int count = left < r->interval ? left : r->interval;
+  bool same = true;
   load(r, segment);
-  for (int t = first; t < r->steps && t < first + r->interval; t++) {
-    (void)run_step(r, t - first, t);
+  for (int k = 0; same && k < count; k++) {
+    same = run_step(r, k, first + k).converged;
   }
+  if (same && meets_kept(r, count)) return KG_OK;
+  r->loaded = -1;
+  return KG_ERR_UNDEFINED;
 }
 
 /* The adjoints of two neighbouring states: then, at t + 1, and now, at t. */
@@ -221,9 +236,10 @@ kg_status kg_rollout_vjp(kg_rollout *rollout, const kg_rollout_gradient *gradien
   memset(r->bar, 0, 4 * (size_t)nv * sizeof *r->bar);
   for (int t = r->steps - 1; t >= 0; t--) {
     const int k = t % r->interval;
-    ensure_loaded(r, t / r->interval);
+    kg_status status = ensure_loaded(r, t / r->interval);
+    if (status != KG_OK) return status;
     cotangent(user, t + 1, q_at(r, k + 1), v_at(r, k + 1), n.q_then, n.v_then);
-    const kg_status status = return_step(r, gradient, &n, k, t);
+    status = return_step(r, gradient, &n, k, t);
     if (status != KG_OK) return status;
     exchange(&n);
   }

@@ -180,9 +180,8 @@ typedef struct everything {
   double contact[6], joint_damping, mass[MAX_NV], com[MAX_NV], inertia[2 * MAX_NV], offset[MAX_NV];
 } everything;
 
-static void gradient_into(kg_rollout *r, everything *e, cost *c)
+static void add_gradient(kg_rollout *r, everything *e, cost *c)
 {
-  memset(e, 0, sizeof *e);
   const kg_rollout_gradient g = {
     .q = e->q,
     .v = e->v,
@@ -191,6 +190,12 @@ static void gradient_into(kg_rollout *r, everything *e, cost *c)
     .joint_damping = &e->joint_damping,
     .body = {.mass = e->mass, .com = e->com, .inertia = e->inertia, .offset = e->offset}};
   assert_int_equal(kg_rollout_vjp(r, &g, add_cost, c), KG_OK);
+}
+
+static void gradient_into(kg_rollout *r, everything *e, cost *c)
+{
+  memset(e, 0, sizeof *e);
+  add_gradient(r, e, c);
 }
 
 static void checkpoints_change_no_bit(void **state)
@@ -343,6 +348,67 @@ static void a_run_that_failed_has_no_gradient(void **state)
   release(f);
 }
 
+/* Results are added, of every kind, with all states and with checkpoints. */
+static void results_are_added(void **state)
+{
+  (void)state;
+  static everything once, twice;
+  for (int checkpoints = 0; checkpoints < 2; checkpoints++) {
+    fixture *f = fixture_of(38, true, 1e-8);
+    kg_rollout *r = rollout_of(f, checkpoints, NULL);
+    cost c = cost_of(f->body);
+    assert_int_equal(kg_rollout_run(r, 30, f->q, f->v, f->tau, NULL, NULL, NULL), KG_OK);
+    gradient_into(r, &once, &c);
+    gradient_into(r, &twice, &c);
+    add_gradient(r, &twice, &c);
+    const double *a = (const double *)&once, *b = (const double *)&twice;
+    double size = 0.0;
+    for (size_t k = 0; k < sizeof once / sizeof *a; k++) {
+      assert_at_most(fabs(b[k] - 2.0 * a[k]), 1e-9 * fabs(a[k]) + 1e-12 * size);
+      size = fmax(size, fabs(a[k]));
+    }
+    assert_true(once.q[1] != 0.0 && once.v[1] != 0.0 && once.joint_damping != 0.0);
+    assert_true(once.com[4] != 0.0 && once.offset[4] != 0.0 && once.contact[1] != 0.0);
+    free(c.w);
+    kg_rollout_destroy(r);
+    release(f);
+  }
+}
+
+/* What is run again must end where it ended, so changed forces are seen; numbers of steps that are
+ * none are refused and leave the run before as it is. */
+static void what_is_not_the_run_is_refused(void **state)
+{
+  (void)state;
+  fixture *f = fixture_of(39, false, 1e-8);
+  kg_rollout *r = rollout_of(f, true, NULL);
+  cost c = cost_of(f->body);
+  static double tau_bar[60 * MAX_NV];
+  const kg_rollout_gradient g = {.tau = tau_bar};
+  const int counts[3] = {0, -1, STEPS + 1};
+  for (int k = 0; k < 3; k++) {
+    assert_int_equal(kg_rollout_run(r, counts[k], f->q, f->v, f->tau, NULL, NULL, NULL),
+                     KG_ERR_SHAPE);
+    assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_ERR_UNDEFINED);
+  }
+  assert_int_equal(kg_rollout_run(r, 60, f->q, f->v, f->tau, NULL, NULL, NULL), KG_OK);
+  assert_int_equal(kg_rollout_run(r, 0, f->q, f->v, f->tau, NULL, NULL, NULL), KG_ERR_SHAPE);
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_OK);
+  double *late = &f->tau[58 * f->body->nv + 8], was = *late; /* in the last segment */
+  *late += 1e-3;
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_ERR_UNDEFINED);
+  *late = was;
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_OK);
+  f->tau[5 * f->body->nv + 8] += 1e-3;
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_ERR_UNDEFINED);
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_ERR_UNDEFINED);
+  f->tau[5 * f->body->nv + 8] = NAN;
+  assert_int_equal(kg_rollout_vjp(r, &g, add_cost, &c), KG_ERR_UNDEFINED);
+  free(c.w);
+  kg_rollout_destroy(r);
+  release(f);
+}
+
 /* ---- time -------------------------------------------------------------------------------------*/
 
 static double seconds(void)
@@ -390,6 +456,8 @@ int main(void)
     cmocka_unit_test(arrays_are_a_cotangent),
     cmocka_unit_test(a_run_is_its_steps),
     cmocka_unit_test(a_run_that_failed_has_no_gradient),
+    cmocka_unit_test(results_are_added),
+    cmocka_unit_test(what_is_not_the_run_is_refused),
     cmocka_unit_test(backward_beside_forward),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);

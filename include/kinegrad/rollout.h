@@ -36,8 +36,8 @@ typedef struct kg_rollout_report {
   double residual; /* the worst, kg^1/2 m/s                                */
 } kg_rollout_report;
 
-/* Runs T = steps steps from (q, v) under tau (steps, nv), which is borrowed until the last gradient
- * of this run. q_out (steps + 1, nq), v_out (steps + 1, nv), report: NULL where not wanted.
+/* Runs T = steps steps, 1 to max_steps, from (q, v) under tau (steps, nv), which is borrowed until
+ * the last gradient of this run. KG_ERR_SHAPE: another number of steps; nothing is run. q_out (steps + 1, nq), v_out (steps + 1, nv), report: NULL where not wanted.
  * KG_ERR_UNDEFINED: a step did not converge; what came before it is written. Allocates nothing. */
 KG_API KG_MUST_USE kg_status kg_rollout_run(kg_rollout *rollout, int steps, const double *q,
                                             const double *v, const double *tau, double *q_out,
@@ -63,7 +63,12 @@ typedef struct kg_rollout_gradient {
   kg_body_gradient body;
 } kg_rollout_gradient;
 
-/* Gradient of the last run, which must have converged. May be called again. Allocates nothing. */
+/* Gradient of the last run. May be called again. Between the run and here the step's contact law,
+ * its body, its passive joints and tau must stay as they are. KG_ERR_UNDEFINED: there was no run, or
+ * it did not converge; what is repeated does not converge or ends elsewhere (something changed); a
+ * step has no derivatives (kg_step_vjp). In the first case nothing is added, in the others the steps
+ * behind the failure have been added to tau and the parameters, and nothing to q and v: discard
+ * them. Allocates nothing. */
 KG_API KG_MUST_USE kg_status kg_rollout_vjp(kg_rollout *rollout,
                                             const kg_rollout_gradient *gradient,
                                             kg_rollout_cotangent *cotangent, void *user);
