@@ -4,6 +4,13 @@
  * Equation numbers: docs/theory/dynamics.md, section 5. r: rotation vector of rest^-1 q. */
 #include "physics/passive.h"
 
+kg_joint_passive kg_joint_passive_default(void)
+{
+  return (kg_joint_passive){.rest = {1.0, 0.0, 0.0, 0.0},
+                            .limit_low = {-INFINITY, -INFINITY, -INFINITY},
+                            .limit_high = {INFINITY, INFINITY, INFINITY}};
+}
+
 /* (P1) excess of every component over its limit: positive above, negative below, zero between */
 static kg_vec3 excess(const kg_joint_passive *p, kg_vec3 r)
 {
@@ -13,8 +20,10 @@ static kg_vec3 excess(const kg_joint_passive *p, kg_vec3 r)
                       fmax(r.z - hi.z, 0.0) + fmin(r.z - lo.z, 0.0));
 }
 
+/* a rest that was left zero is the identity */
 static kg_vec3 rotation_of(const kg_joint_passive *p, kg_quat q)
 {
+  if (kg_quat_dot(p->rest, p->rest) == 0.0) return kg_quat_log(q);
   return kg_quat_log(kg_quat_mul(kg_quat_conj(p->rest), q));
 }
 

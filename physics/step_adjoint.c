@@ -38,6 +38,15 @@ static kg_status linearize_at(kg_step *s, const double *q, const double *v, cons
   return KG_OK;
 }
 
+/* The same with J factorised: all that can fail on the way back through a step. */
+static kg_status factor_at(kg_step *s, const double *q, const double *v, const double *tau,
+                           double dt, const double *v_next)
+{
+  const kg_status status = linearize_at(s, q, v, tau, dt, v_next);
+  if (status != KG_OK) return status;
+  return kg_tree_factor(&s->dynamics->tree, &s->J) ? KG_OK : KG_ERR_UNDEFINED;
+}
+
 /* ---- one step ---------------------------------------------------------------------------------*/
 
 /* phi -= sum of xi . f (B2) */
@@ -127,9 +136,8 @@ static kg_status return_step(kg_step *s, const kg_step_gradient *g, const double
 {
   const int nv = s->def.body->nv;
   double *nu = returned(s, 0), *q_end_bar = returned(s, 1), *a_bar = returned(s, 2);
-  const kg_status status = linearize_at(s, q, v, tau, dt, v_next);
+  const kg_status status = factor_at(s, q, v, tau, dt, v_next);
   if (status != KG_OK) return status;
-  if (!kg_tree_factor(&s->dynamics->tree, &s->J)) return KG_ERR_UNDEFINED;
   solve_for_multiplier(s, q_bar, v_bar, nu);
   memcpy(q_end_bar, q_bar, bytes_of(s));
   memset(a_bar, 0, bytes_of(s));
@@ -150,7 +158,8 @@ static kg_status return_step(kg_step *s, const kg_step_gradient *g, const double
 
 /* ---- sub-steps --------------------------------------------------------------------------------*/
 
-/* Leaves the states between the sub-steps in the trace; they must end where the step did. */
+/* Leaves the states between the sub-steps in the trace; they must end where the step did, and each
+ * must have derivatives: asked beforehand, so that what is added is whole. */
 static kg_status trace(kg_step *s, const double *q, const double *v, const double *tau, double dt,
                        const double *v_next, int substeps)
 {
@@ -164,7 +173,12 @@ static kg_status trace(kg_step *s, const double *q, const double *v, const doubl
       return KG_ERR_UNDEFINED;
     }
   }
-  return KG_OK;
+  kg_status status = KG_OK;
+  for (int k = 0; k < substeps && status == KG_OK; k++) {
+    status = factor_at(s, s->trace_q + k * s->def.body->nq, s->trace_v + k * nv, tau, dt / substeps,
+                       s->trace_v + (k + 1) * nv);
+  }
+  return status;
 }
 
 /* Back through the sub-steps in the trace. */
@@ -310,9 +324,8 @@ static kg_status differentiate_step(kg_step *s, const kg_step_jacobian *j, const
                                     const double *v, const double *tau, double dt,
                                     const double *v_next)
 {
-  kg_status status = linearize_at(s, q, v, tau, dt, v_next);
+  const kg_status status = factor_at(s, q, v, tau, dt, v_next);
   if (status != KG_OK) return status;
-  if (!kg_tree_factor(&s->dynamics->tree, &s->J)) return KG_ERR_UNDEFINED;
   if (j->dv_dq || j->dq_dq) derivatives_by_pose(s, j->dv_dq ? j->dv_dq : j->dq_dq, j->dq_dq);
   if (j->dv_dv || j->dq_dv) derivatives_by_rate(s, j->dv_dv ? j->dv_dv : j->dq_dv, j->dq_dv);
   if (j->dv_dtau || j->dq_dtau)

@@ -316,6 +316,14 @@ static errors compare(kg_step *step, const kg_step_def *def, kg_random *random, 
     e.jacobian = fmax(e.jacobian, distance(A[k], r->dv[k], nv * nv));
     e.jacobian = fmax(e.jacobian, distance(A[3 + k], r->dq[k], nv * nv));
   }
+  for (int k = 0; k < 6; k++) { /* each of them alone is the same */
+    static double one[MATRIX];
+    double *to[6] = {NULL};
+    to[k] = one;
+    const kg_step_jacobian alone = {to[0], to[1], to[2], to[3], to[4], to[5]};
+    assert_int_equal(kg_step_derivatives(step, &alone, q, v, tau, dt, v_end, 1), KG_OK);
+    assert_memory_equal(one, A[k], (size_t)(nv * nv) * sizeof *one);
+  }
   gradient_arrays got;
   const kg_step_gradient gradient = arrays_of(&got);
   assert_int_equal(kg_step_vjp(step, &gradient, q, v, tau, dt, v_end, 1, q_bar, v_bar), KG_OK);
@@ -565,6 +573,48 @@ static void gradient_equals_differences(void **state)
 
 /* ---- sub-steps --------------------------------------------------------------------------------*/
 
+/* all of a gradient's numbers times s */
+static void scale_arrays(gradient_arrays *a, double s)
+{
+  double *x = (double *)a;
+  for (size_t k = 0; k < sizeof *a / sizeof *x; k++) {
+    x[k] *= s;
+  }
+}
+
+/* Results are added: a second call doubles what the first one left in the arrays. */
+static void assert_added(kg_step *step, const double *q, const double *v, const double *tau,
+                         double dt, const double *v_end, int substeps, const double *q_bar,
+                         const double *v_bar)
+{
+  static gradient_arrays once, twice;
+  kg_step_gradient g = arrays_of(&once);
+  assert_int_equal(kg_step_vjp(step, &g, q, v, tau, dt, v_end, substeps, q_bar, v_bar), KG_OK);
+  g = arrays_of(&twice);
+  for (int call = 0; call < 2; call++) {
+    assert_int_equal(kg_step_vjp(step, &g, q, v, tau, dt, v_end, substeps, q_bar, v_bar), KG_OK);
+  }
+  scale_arrays(&once, 2.0);
+  const double *a = (const double *)&once, *b = (const double *)&twice;
+  const struct {
+    const double *want, *got;
+    int count;
+  } rows[] = {{once.q, twice.q, MAX_NV},
+              {once.v, twice.v, MAX_NV},
+              {once.tau, twice.tau, MAX_NV},
+              {once.contact, twice.contact, 6},
+              {once.mass, twice.mass, MAX_NV},
+              {once.com, twice.com, MAX_NV},
+              {once.inertia, twice.inertia, 6 * MAX_NV},
+              {once.offset, twice.offset, MAX_NV},
+              {once.points, twice.points, 3 * MAX_POINTS}};
+  for (size_t k = 0; k < KG_COUNT_OF(rows); k++) {
+    assert_true(largest(rows[k].want, rows[k].count) > 0.0);
+    assert_at_most(distance(rows[k].got, rows[k].want, rows[k].count), 1e-12);
+  }
+  assert_at_most(distance(b, a, (int)(sizeof once / sizeof *a)), 1e-12);
+}
+
 /* Four steps one after the other, and the same as one step in four sub-steps. */
 static void substeps_are_gone_back_through(void **state)
 {
@@ -621,6 +671,8 @@ static void substeps_are_gone_back_through(void **state)
     }
     assert_at_most(distance(by_v, of[k], nv), 1e-12);
   }
+  assert_added(step, q[0], v[0], tau, dt, v[PARTS], PARTS, q_bar[PARTS], v_bar[PARTS]);
+  assert_added(step, q[0], v[0], tau, dt / PARTS, v[1], 1, q_bar[PARTS], v_bar[PARTS]);
   /* a step that was not divided so is refused */
   assert_int_equal(
     kg_step_vjp(step, &g, q[0], v[0], tau, dt, v[PARTS], 1, q_bar[PARTS], v_bar[PARTS]),
@@ -628,6 +680,46 @@ static void substeps_are_gone_back_through(void **state)
   assert_int_equal(
     kg_step_vjp(step, &g, q[0], v[0], tau, dt, v[PARTS], 2, q_bar[PARTS], v_bar[PARTS]),
     KG_ERR_UNDEFINED);
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+/* A rod without inertia about its axis falls without weight: nothing resists a turn about the axis
+ * until fins on both sides touch the ground, which they do in the second half of the step. */
+static void a_gradient_is_whole_or_nothing(void **state)
+{
+  (void)state;
+  enum { POINTS = 2 };
+  kg_segment rod = {.role = -1, .joint = -1, .parent = -1, .mass = 2.0};
+  const double inertia[6] = {0.5, 0.5, 1.0, -0.5, 0.0, 0.0}; /* about the axis (1, 1, 0): none */
+  memcpy(rod.inertia, inertia, sizeof inertia);
+  const kg_body_point fins[POINTS] = {{0, {0.25, -0.25, 0.0}}, {0, {-0.25, 0.25, 0.0}}};
+  kg_body *body = NULL;
+  assert_int_equal(kg_body_create(&body, &rod, 1, fins, POINTS, NULL), KG_OK);
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 0.0, 1.0));
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.gravity = kg_vec3_make(0.0, 0.0, 0.0);
+  kg_step *step = create_step(&def);
+  double q[3][7] = {{0.0, 0.0, 0.005 + 1.5 * def.contact.layer, 1.0}}, v[3][6] = {{0, 0, -1.0}};
+  const double bar[6] = {1.0, 2.0, 3.0, 4.0, 5.0, 6.0};
+  for (int k = 0; k < 2; k++) {
+    kg_step_report report;
+    kg_step_advance(step, q[k + 1], v[k + 1], q[k], v[k], NULL, 0.005, false, &report);
+    assert_true(report.converged && report.substeps == 1);
+    assert_int_equal(report.contact_count, k == 0 ? 0 : POINTS);
+  }
+  static gradient_arrays got, none;
+  const kg_step_gradient g = arrays_of(&got);
+  /* the second half alone has derivatives, the first has none */
+  assert_int_equal(kg_step_vjp(step, &g, q[1], v[1], NULL, 0.005, v[2], 1, bar, bar), KG_OK);
+  assert_true(largest(got.tau, 6) > 0.0);
+  memset(&got, 0, sizeof got);
+  assert_int_equal(kg_step_vjp(step, &g, q[0], v[0], NULL, 0.005, v[1], 1, bar, bar),
+                   KG_ERR_UNDEFINED);
+  assert_int_equal(kg_step_vjp(step, &g, q[0], v[0], NULL, 0.01, v[2], 2, bar, bar),
+                   KG_ERR_UNDEFINED);
+  assert_memory_equal(&got, &none, sizeof got);
   kg_step_destroy(step);
   kg_body_destroy(body);
 }
@@ -656,6 +748,49 @@ static void what_is_no_solution_is_refused(void **state)
     assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, v_end, 1, bar, bar), KG_ERR_UNDEFINED);
     assert_int_equal(kg_step_derivatives(step, &j, q, v, NULL, 0.01, v_end, 1), KG_ERR_UNDEFINED);
     assert_memory_equal(tau, none, sizeof tau);
+  }
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+/* Ten times the tolerance: less is accepted, more is not, of the residual of a plain step and of
+ * the end of a divided one. */
+static void ten_times_the_tolerance_is_a_solution(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_step_def def = kg_step_default_def(body);
+  def.tolerance = 1e-7;
+  kg_step *step = create_step(&def);
+  kg_random random = kg_random_make(15);
+  double q[MAX_NQ], v[MAX_NV], q_end[MAX_NQ], v_end[MAX_NV], near[MAX_NV], G[MAX_NV];
+  double tau[MAX_NV] = {0.0}, bar[MAX_NV] = {1.0};
+  const kg_step_gradient g = {.tau = tau};
+  const double times[4] = {5.0, 9.0, 11.0, 20.0};
+  kg_step_report report;
+  human_state(&random, body, FLIGHT, q, v);
+  kg_step_advance(step, q_end, v_end, q, v, NULL, 0.01, false, &report);
+  assert_true(report.converged && report.substeps == 1);
+  for (int k = 0; k < 4; k++) {
+    double d = 1e-6; /* of one rate; the residual grows in proportion */
+    memcpy(near, v_end, sizeof near);
+    for (int pass = 0; pass < 4; pass++) {
+      near[7] = v_end[7] + d;
+      kg_step_residual(step, G, NULL, near, q, v, NULL, 0.01, &report);
+      d *= times[k] * def.tolerance / report.residual;
+    }
+    assert_close(report.residual, times[k] * def.tolerance, 0.02);
+    assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, near, 1, bar, bar),
+                     times[k] < 10.0 ? KG_OK : KG_ERR_UNDEFINED);
+  }
+  double q_half[MAX_NQ], v_half[MAX_NV];
+  kg_step_advance(step, q_half, v_half, q, v, NULL, 0.005, false, &report);
+  kg_step_advance(step, q_end, v_end, q_half, v_half, NULL, 0.005, false, &report);
+  for (int k = 0; k < 4; k++) {
+    memcpy(near, v_end, sizeof near);
+    near[7] += times[k] * def.tolerance * (1.0 + fabs(v_end[7]));
+    assert_int_equal(kg_step_vjp(step, &g, q, v, NULL, 0.01, near, 2, bar, bar),
+                     times[k] < 10.0 ? KG_OK : KG_ERR_UNDEFINED);
   }
   kg_step_destroy(step);
   kg_body_destroy(body);
@@ -743,6 +878,41 @@ static void passive_torque_is_the_slope_of_its_energy(void **state)
   assert_at_most(worst, 1e-8); /* a limit inside the difference costs third derivatives */
 }
 
+/* The default does nothing; no rest is the identity. */
+static void passive_joints_without_numbers(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(16);
+  kg_body *body = random_tree(&random, 2, NULL);
+  kg_joint_passive passive[2] = {kg_joint_passive_default(), kg_joint_passive_default()};
+  kg_step_def def = kg_step_default_def(body);
+  def.gravity = kg_vec3_make(0.0, 0.0, 0.0);
+  def.passive = passive;
+  kg_step *step = create_step(&def);
+  double q[MAX_NQ], v[MAX_NV] = {0.0}, G[MAX_NV];
+  rest_state(body, 0.0, q);
+  const kg_quat at = kg_quat_exp(kg_vec3_make(0.5, 0.0, 0.0));
+  memcpy(q + 7, &at, sizeof at);
+  kg_step_residual(step, G, NULL, v, q, v, NULL, 0.01, NULL);
+  assert_at_most(largest(G, body->nv), 0.0);
+  passive[1].limit_stiffness = 7.0; /* no limits */
+  kg_step_residual(step, G, NULL, v, q, v, NULL, 0.01, NULL);
+  assert_at_most(largest(G, body->nv), 0.0);
+  for (int k = 0; k < 2; k++) {
+    const kg_joint_passive spring = {.stiffness = 100.0};
+    if (k == 0) {
+      passive[1].stiffness = 100.0;
+    } else {
+      passive[1] = spring; /* all the rest zero, the rotation of rest too */
+    }
+    kg_step_residual(step, G, NULL, v, q, v, NULL, 0.01, NULL);
+    assert_close(G[6], 50.0, 1e-12);
+    assert_close(kg_joint_passive_energy(&passive[1], at), 12.5, 1e-12);
+  }
+  kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -751,6 +921,9 @@ int main(void)
     cmocka_unit_test(derivatives_of_solved_steps),
     cmocka_unit_test(gradient_equals_differences),
     cmocka_unit_test(substeps_are_gone_back_through),
+    cmocka_unit_test(a_gradient_is_whole_or_nothing),
+    cmocka_unit_test(ten_times_the_tolerance_is_a_solution),
+    cmocka_unit_test(passive_joints_without_numbers),
     cmocka_unit_test(what_is_no_solution_is_refused),
     cmocka_unit_test(nothing_is_allocated),
     cmocka_unit_test(passive_torque_is_the_slope_of_its_energy),

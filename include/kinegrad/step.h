@@ -24,16 +24,20 @@ typedef struct kg_step kg_step; /* one per thread */
  * limits of the three components of the rotation vector r = log(rest^-1 q). All but the damping has
  * the potential
  *   E = stiffness |r|^2 / 2 + limit_stiffness / 3 sum_k excess_k(r)^3,
- * so the torque is C1 at the limits. r is unique below half a turn, where limits have to be.
- * docs/theory/dynamics.md, section 5. */
+ * so the torque is C1 at the limits. r is unique below half a turn, where limits have to be; across
+ * half a turn it jumps to -r, and the torque with it, to the other side: choose rest so that the
+ * joint stays away from there. docs/theory/dynamics.md, section 5. Start from
+ * kg_joint_passive_default(). */
 typedef struct kg_joint_passive {
   double stiffness;              /* N m/rad                                     */
   double damping;                /* N m s/rad, beside the step's joint_damping  */
-  kg_quat rest;                  /* unit                                        */
+  kg_quat rest;                  /* unit; all zero is taken for the identity    */
   kg_vec3 limit_low, limit_high; /* rad; -INFINITY, INFINITY: none              */
   double limit_stiffness;        /* N m/rad^2; 0: no limits                     */
 } kg_joint_passive;
 
+/* No spring, no damping, no limits; rest is the identity. */
+KG_API kg_joint_passive kg_joint_passive_default(void);
 /* J; without damping, which has none */
 KG_API double kg_joint_passive_energy(const kg_joint_passive *passive, kg_quat q);
 
@@ -76,8 +80,8 @@ KG_API KG_MUST_USE kg_status kg_step_create(kg_step **step, const kg_step_def *d
 KG_API void kg_step_destroy(kg_step *step);
 /* Another contact law from here on. */
 KG_API void kg_step_set_contact(kg_step *step, const kg_contact_params *contact);
-/* Call it after masses, inertias, centres of mass, offsets or contact points of the body have
- * changed. */
+/* Call it after masses, inertias, centres of mass, offsets or contact points of the body's segments
+ * have changed. body->mass is not read. */
 KG_API void kg_step_refresh(kg_step *step);
 
 /* One step of dt seconds. q_next[nq], v_next[nv]: out; v_next is also the starting guess when
@@ -110,8 +114,8 @@ typedef struct kg_step_gradient {
  * transposed solve with the exact Jacobian at v_next, however v_next was found. substeps: as
  * reported by kg_step_advance; with more than one the sub-steps are repeated and gone back through.
  * KG_ERR_UNDEFINED: v_next does not solve the step to ten times the tolerance, or the Jacobian is
- * singular; nothing is added then, unless a later sub-step was gone back through before. The
- * gradient's arrays must not overlap the arguments. Allocates nothing. */
+ * singular, at the end of any sub-step; nothing is added then. The gradient's arrays must not
+ * overlap the arguments. Allocates nothing. */
 KG_API KG_MUST_USE kg_status kg_step_vjp(kg_step *step, const kg_step_gradient *gradient,
                                          const double *q, const double *v, const double *tau,
                                          double dt, const double *v_next, int substeps,
