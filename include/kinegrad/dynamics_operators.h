@@ -22,8 +22,8 @@ extern "C" {
 typedef struct kg_dynamics_operators kg_dynamics_operators;
 
 /* step: body, gravity, ground, contact law, passive joints, as for kg_step_create; dt: of
- * kg_implicit_step, s. Body and scene are copied (later changes are not seen), passive joints and
- * the scene's meshes borrowed. */
+ * kg_implicit_step, s. Body and scene are copied (later changes are not seen). step->passive and the
+ * scene's meshes are borrowed: they must outlive the operators. */
 KG_API KG_MUST_USE kg_status kg_dynamics_operators_create(kg_dynamics_operators **operators,
                                                           const kg_step_def *step, double dt);
 KG_API void kg_dynamics_operators_destroy(kg_dynamics_operators *operators);
