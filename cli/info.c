@@ -165,7 +165,7 @@ static int write_results(const info_values *values, const kg_clip *clip, const k
   }
   if (mjcf) {
     kg_error error = {0};
-    if (kg_body_write_mjcf(subject->body, mjcf->temporary, 9.8, &error) != KG_OK) {
+    if (kg_body_write_mjcf(subject->body, &subject->scene, mjcf->temporary, 9.8, &error) != KG_OK) {
       return cli_failed(&error);
     }
   }

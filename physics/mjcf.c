@@ -152,24 +152,42 @@ static bool print_tree(FILE *file, const kg_body *body)
   return true;
 }
 
-static bool print_model(FILE *file, const kg_body *body, double gravity)
+/* MuJoCo's plane lies across its own z */
+static void print_planes(FILE *file, const kg_scene *scene)
 {
-  fprintf(
-    file,
-    "<mujoco model=\"kinegrad\">\n"
-    "  <!-- Y up. qpos and qvel are kinegrad's q and v: root position, then one quaternion\n"
-    "       (angular velocity in its own frame) per segment. -->\n"
-    "  <compiler angle=\"radian\" inertiafromgeom=\"false\" balanceinertia=\"false\"/>\n"
-    "  <option timestep=\"0.005\" gravity=\"0 %.17g 0\"/>\n"
-    "  <default>\n"
-    "    <joint armature=\"0\" damping=\"0\" stiffness=\"0\" limited=\"false\"/>\n"
-    "    <geom contype=\"1\" conaffinity=\"0\" friction=\"0.9\" rgba=\"0.7 0.6 0.5 1\"/>\n"
-    "  </default>\n"
-    "  <worldbody>\n"
-    "    <light pos=\"0 5 2\" dir=\"0 -1 -0.4\"/>\n"
-    "    <geom name=\"ground\" type=\"plane\" size=\"10 10 0.1\" contype=\"0\" conaffinity=\"1\""
-    " quat=\"0.70710678118654757 -0.70710678118654757 0 0\" rgba=\"0.4 0.5 0.5 1\"/>\n",
-    -gravity);
+  bool first = true;
+  for (int i = 0; i < scene->shape_count; i++) {
+    const kg_sdf_shape *s = &scene->shapes[i];
+    if (s->kind != KG_SHAPE_PLANE) {
+      continue;
+    }
+    const kg_quat turn = kg_quat_between(kg_vec3_make(0.0, 0.0, 1.0), s->b);
+    fprintf(
+      file,
+      "    <geom%s type=\"plane\" size=\"10 10 0.1\" contype=\"0\" conaffinity=\"1\""
+      " pos=\"%.17g %.17g %.17g\" quat=\"%.17g %.17g %.17g %.17g\" rgba=\"0.4 0.5 0.5 1\"/>\n",
+      first ? " name=\"ground\"" : "", s->a.x, s->a.y, s->a.z, turn.w, turn.x, turn.y, turn.z);
+    first = false;
+  }
+}
+
+static bool print_model(FILE *file, const kg_body *body, const kg_scene *scene, double gravity)
+{
+  fprintf(file,
+          "<mujoco model=\"kinegrad\">\n"
+          "  <!-- Y up. qpos and qvel are kinegrad's q and v: root position, then one quaternion\n"
+          "       (angular velocity in its own frame) per segment. -->\n"
+          "  <compiler angle=\"radian\" inertiafromgeom=\"false\" balanceinertia=\"false\"/>\n"
+          "  <option timestep=\"0.005\" gravity=\"0 %.17g 0\"/>\n"
+          "  <default>\n"
+          "    <joint armature=\"0\" damping=\"0\" stiffness=\"0\" limited=\"false\"/>\n"
+          "    <geom contype=\"1\" conaffinity=\"0\" friction=\"0.9\" rgba=\"0.7 0.6 0.5 1\"/>\n"
+          "  </default>\n"
+          "  <worldbody>\n"
+          "    <light pos=\"0 5 2\" dir=\"0 -1 -0.4\"/>\n",
+          -gravity);
+  const kg_scene level = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  print_planes(file, scene ? scene : &level);
   if (!print_tree(file, body)) {
     return false;
   }
@@ -177,7 +195,8 @@ static bool print_model(FILE *file, const kg_body *body, double gravity)
   return true;
 }
 
-kg_status kg_body_write_mjcf(const kg_body *body, const char *path, double gravity, kg_error *error)
+kg_status kg_body_write_mjcf(const kg_body *body, const kg_scene *scene, const char *path,
+                             double gravity, kg_error *error)
 {
   char temporary[4096];
   const int length = snprintf(temporary, sizeof temporary, "%s.part", path);
@@ -188,7 +207,7 @@ kg_status kg_body_write_mjcf(const kg_body *body, const char *path, double gravi
   if (!file) {
     return kg_fail(error, KG_ERR_WRITE, path, 0, 0, "cannot be created: %s", strerror(errno));
   }
-  const bool in_order = print_model(file, body, gravity);
+  const bool in_order = print_model(file, body, scene, gravity);
   bool written = fflush(file) == 0 && !ferror(file);
   written = fclose(file) == 0 && written;
   if (!in_order) {

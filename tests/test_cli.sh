@@ -209,6 +209,8 @@ claim "--joints lists all 31" test "$(wc -l <stdout.txt)" -eq 31
 run 0 info --joints -- "$walk"
 run 0 info "$walk" --mjcf body.xml
 claim "the MJCF file is one" grep -q "<mujoco" body.xml
+run 0 info "$walk" --floor 0.5 --mjcf body.xml
+claim "its ground is the clip's" grep -q 'name="ground".* pos="0 0.5 0"' body.xml
 claim "a closed pipe is no error" sh -c "'$kinegrad' info '$walk' --json - | head -c 1 >/dev/null"
 if [ -c /dev/full ]; then
   claims=$((claims + 1))

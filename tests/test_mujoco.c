@@ -28,7 +28,7 @@ static both set_up(kg_bench_skeleton skeleton, const char *data)
   kg_error error = {0};
   const char *path = KG_TEST_SCRATCH "/mujoco.xml";
   if (kg_bench_model_open(&b.of, skeleton, data, &error) != KG_OK ||
-      kg_body_write_mjcf(b.of.body, path, 9.8, &error) != KG_OK ||
+      kg_body_write_mjcf(b.of.body, NULL, path, 9.8, &error) != KG_OK ||
       kg_dynamics_create(&b.dynamics, b.of.body, NULL) != KG_OK) {
     fail_msg("%s", error.text);
   }
@@ -181,13 +181,48 @@ static void the_model_stands_on_its_ground(void **state)
   tear_down(&b);
 }
 
+static void the_model_has_the_planes_of_the_scene(void **state)
+{
+  (void)state;
+  both b = set_up(KG_BENCH_MAPPED, KG_TEST_DATA "/walker.bvh");
+  const char *path = KG_TEST_SCRATCH "/mujoco_planes.xml";
+  const kg_vec3 normal = kg_vec3_normalized(kg_vec3_make(0.1, 1.0, -0.2));
+  kg_scene scene = kg_scene_ground(-0.3, normal);
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .radius = 1.0};
+  const kg_sdf_shape wall = {
+    .kind = KG_SHAPE_PLANE, .a = kg_vec3_make(0.0, 1.0, -2.0), .b = kg_vec3_make(0.0, 0.0, 1.0)};
+  assert_true(kg_scene_add(&scene, &ball) && kg_scene_add(&scene, &wall));
+  assert_int_equal(kg_body_write_mjcf(b.body, &scene, path, 9.8, NULL), KG_OK);
+  char text[1000] = "";
+  mjModel *model = mj_loadXML(path, NULL, text, sizeof text);
+  assert_non_null(model);
+  mjData *data = mj_makeData(model);
+  mj_forward(model, data);
+  int planes = 0;
+  for (int g = 0; g < model->ngeom; g++) {
+    if (model->geom_type[g] != mjGEOM_PLANE) {
+      continue;
+    }
+    const double *x = data->geom_xpos + 3 * g, *R = data->geom_xmat + 9 * g;
+    const kg_vec3 n = kg_vec3_make(R[2], R[5], R[8]), other = planes == 0 ? normal : wall.b;
+    const kg_vec3 a = planes == 0 ? kg_vec3_make(0.0, -0.3, 0.0) : wall.a;
+    assert_at_most(kg_vec3_norm(kg_vec3_sub(n, other)), 1e-12);
+    assert_close(kg_vec3_dot(n, kg_vec3_make(x[0], x[1], x[2])), kg_vec3_dot(other, a), 1e-12);
+    planes++;
+  }
+  assert_int_equal(planes, 2);
+  mj_deleteData(data);
+  mj_deleteModel(model);
+  tear_down(&b);
+}
+
 static void a_path_that_cannot_be_written_is_reported(void **state)
 {
   (void)state;
   both b = set_up(KG_BENCH_MAPPED, NULL);
   kg_error error = {0};
   const char *path = KG_TEST_SCRATCH "/no such folder/model.xml";
-  assert_int_equal(kg_body_write_mjcf(b.body, path, 9.8, &error), KG_ERR_WRITE);
+  assert_int_equal(kg_body_write_mjcf(b.body, NULL, path, 9.8, &error), KG_ERR_WRITE);
   assert_string_equal(error.path, path);
   tear_down(&b);
 }
@@ -199,6 +234,7 @@ int main(void)
     cmocka_unit_test(dynamics_of_captured_skeletons_agree_with_mujoco),
     cmocka_unit_test(poses_and_momentum_agree_with_mujoco),
     cmocka_unit_test(the_model_stands_on_its_ground),
+    cmocka_unit_test(the_model_has_the_planes_of_the_scene),
     cmocka_unit_test(a_path_that_cannot_be_written_is_reported),
   };
   return cmocka_run_group_tests_name("mujoco", tests, NULL, NULL);

@@ -64,7 +64,7 @@ static kg_status load_model(kg_mujoco *s, const kg_mujoco_def *def)
   close(file);
   kg_body bare = *def->body; /* geoms would cost MuJoCo time where they are not needed */
   bare.shape_count = def->has_shapes ? bare.shape_count : 0;
-  kg_status status = kg_body_write_mjcf(&bare, path, 9.8, NULL);
+  kg_status status = kg_body_write_mjcf(&bare, NULL, path, 9.8, NULL);
   if (status == KG_OK && def->has_motors) {
     status = add_motors(path, def->body);
   }
