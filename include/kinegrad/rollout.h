@@ -5,8 +5,8 @@
  *
  * Backward takes one transposed solve a step (kg_step_vjp). Memory: every state, or with
  * checkpoints about 2 sqrt(T) of them, at the price of running once more; the gradient is the same,
- * bit for bit. Long runs in stiff contact have gradients that grow without bound: cut the
- * horizon. */
+ * bit for bit. Gradients of long runs grow where the motion is unstable or undamped: cut the
+ * horizon, or damp. */
 #ifndef KINEGRAD_ROLLOUT_H
 #define KINEGRAD_ROLLOUT_H
 
@@ -37,7 +37,8 @@ typedef struct kg_rollout_report {
 } kg_rollout_report;
 
 /* Runs T = steps steps, 1 to max_steps, from (q, v) under tau (steps, nv), which is borrowed until
- * the last gradient of this run. KG_ERR_SHAPE: another number of steps; nothing is run. q_out (steps + 1, nq), v_out (steps + 1, nv), report: NULL where not wanted.
+ * the last gradient of this run. KG_ERR_SHAPE: another number of steps; nothing is run.
+ * q_out (steps + 1, nq), v_out (steps + 1, nv), report: NULL where not wanted.
  * KG_ERR_UNDEFINED: a step did not converge; what came before it is written. Allocates nothing. */
 KG_API KG_MUST_USE kg_status kg_rollout_run(kg_rollout *rollout, int steps, const double *q,
                                             const double *v, const double *tau, double *q_out,
