@@ -273,7 +273,7 @@ static const gradcheck_values defaults = {
 
 const cli_command cli_command_gradcheck = {
   .name = "gradcheck",
-  .summary = "every derivative of the library against numerical ones",
+  .summary = "derivatives of operators, losses, dynamics and the step against numerical ones",
   .usage = "[CLIP] [options]",
   .details = "Checks the derivative of every operator and primitive of the engine and of every "
              "model and loss "
