@@ -1,3 +1,5 @@
+/* MuJoCo as a contestant: the body written as MJCF and loaded, states copied, its calls behind ours.
+ * What each call runs stands in mujoco_peer.h. */
 #include "bench/dynamics/mujoco_peer.h"
 
 #include <stdio.h>

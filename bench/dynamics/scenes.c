@@ -1,3 +1,4 @@
+/* States of the step cases: a body in flight, or settled on springs standing or lying, then pushed. */
 #include "bench/dynamics/scenes.h"
 
 #include <math.h>
