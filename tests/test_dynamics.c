@@ -1,6 +1,7 @@
 /* Kinematics and dynamics against particles and d'Alembert's principle, against differences in
  * space and time, and against conservation laws. */
 #include "fixture_body.h"
+#include "fixture_step.h"
 
 #include "kinegrad/spatial.h"
 #include "physics/kernels/kernels.h"
@@ -11,22 +12,6 @@
 
 void dgesv_(const int *n, const int *nrhs, double *a, const int *lda, int *ipiv, double *b,
             const int *ldb, int *info);
-
-static kg_dynamics *dynamics_of(const kg_body *body)
-{
-  kg_dynamics *d = NULL;
-  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
-  return d;
-}
-
-static double largest(const double *a, int count)
-{
-  double size = 0.0;
-  for (int k = 0; k < count; k++) {
-    size = fmax(size, fabs(a[k]));
-  }
-  return size;
-}
 
 static double largest_difference(const double *a, const double *b, int count)
 {

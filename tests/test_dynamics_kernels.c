@@ -2,6 +2,7 @@
  * through the same recursion over complex numbers; eight frames and every instruction set against
  * the plain call, bit for bit. */
 #include "fixture_body.h"
+#include "fixture_step.h"
 
 #include <complex.h>
 #undef I
@@ -16,22 +17,6 @@ void dgesv_(const int *n, const int *nrhs, double *a, const int *lda, int *ipiv,
 extern const kg_number_kernels kg_number_kernels_2_test;
 
 enum { BIG_NV = 120, BIG_NQ = 160, FRAMES = 17 };
-
-static kg_dynamics *dynamics_of(const kg_body *body)
-{
-  kg_dynamics *d = NULL;
-  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
-  return d;
-}
-
-static double largest(const double *a, int count)
-{
-  double size = 0.0;
-  for (int k = 0; k < count; k++) {
-    size = fmax(size, fabs(a[k]));
-  }
-  return size;
-}
 
 static double largest_difference(const double *a, const double *b, int count)
 {

@@ -2,6 +2,7 @@
  * yields against differences of its motion, friction with a bound against its potential, the step's
  * end against the square of what was left, and answers found by the fallbacks. */
 #include "fixture_body.h"
+#include "fixture_step.h"
 
 #include "kinegrad/dense.h"
 #include "kinegrad/step.h"
@@ -11,18 +12,6 @@
 #include "physics/small_problem.h"
 
 enum { SIZE = 18, STRIDE = 24 };
-
-static kg_scene ground(void)
-{
-  return kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
-}
-
-static kg_step *step_of(const kg_step_def *def)
-{
-  kg_step *s = NULL;
-  assert_int_equal(kg_step_create(&s, def), KG_OK);
-  return s;
-}
 
 /* ---- kernels -----------------------------------------------------------------------------------*/
 

@@ -1,6 +1,7 @@
 /* The implicit step: Jacobian against differences, answers against LAPACK and Ceres, convergence,
  * failures, bits, memory. What it does to bodies is in test_step_physics.c. */
 #include "fixture_body.h"
+#include "fixture_step.h"
 
 #include "kinegrad/ceres.h"
 #include "kinegrad/dense.h"
@@ -8,27 +9,6 @@
 
 #include <stdio.h>
 #include <time.h>
-
-static kg_scene ground(void)
-{
-  return kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
-}
-
-static kg_step *step_of(const kg_step_def *def)
-{
-  kg_step *s = NULL;
-  assert_int_equal(kg_step_create(&s, def), KG_OK);
-  return s;
-}
-
-static double largest(const double *a, int count)
-{
-  double size = 0.0;
-  for (int k = 0; k < count; k++) {
-    size = fmax(size, fabs(a[k]));
-  }
-  return size;
-}
 
 /* A state of the human near the ground. kind: 0 flight, 1 standing, 2 sliding, 3 lying. */
 static void human_state(kg_random *random, const kg_body *body, int kind, double *q, double *v)

@@ -2,31 +2,13 @@
  * stand, slide, stick, fall and bounce, the order of the integrator. Every number that a test
  * claims is printed. */
 #include "fixture_body.h"
+#include "fixture_step.h"
 
 #include "kinegrad/step.h"
 
 #include <stdio.h>
 
 static const double g = 9.8; /* m/s^2, the step's default */
-
-static kg_scene ground(void)
-{
-  return kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
-}
-
-static kg_step *step_of(const kg_step_def *def)
-{
-  kg_step *s = NULL;
-  assert_int_equal(kg_step_create(&s, def), KG_OK);
-  return s;
-}
-
-static kg_dynamics *dynamics_of(const kg_body *body)
-{
-  kg_dynamics *d = NULL;
-  assert_int_equal(kg_dynamics_create(&d, body, NULL), KG_OK);
-  return d;
-}
 
 /* count steps in place; every one must converge without sub-steps. The report is the last one's. */
 static kg_step_report advance(kg_step *s, double *q, double *v, const double *tau, double dt,
