@@ -9,7 +9,7 @@
  *
  * Closest point: Voronoi regions of the triangle from the six products of x - corner with u and v
  * [ERIC] C. Ericson, Real-Time Collision Detection, Morgan Kaufmann 2005, section 5.1.5. */
-#include "kinegrad/sdf.h"
+#include "kinegrad/mesh.h"
 
 #include "sdf/bvh.h"
 #include "sdf/feature.h"

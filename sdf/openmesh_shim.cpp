@@ -9,7 +9,7 @@
  * Its PLY reader keeps its state in one object: read meshes from one thread at a time.
  * Its readers parse numbers in the program's locale; a program that calls setlocale must keep
  * LC_NUMERIC at "C". Its messages are switched off, and stay off, in its two log streams. */
-#include "kinegrad/sdf.h"
+#include "kinegrad/mesh.h"
 
 #include <OpenMesh/Core/IO/IOManager.hh>
 #include <OpenMesh/Core/IO/importer/BaseImporter.hh>

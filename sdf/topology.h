@@ -3,7 +3,7 @@
 #define KG_SDF_TOPOLOGY_H
 
 #include "kinegrad/arena.h"
-#include "kinegrad/sdf.h"
+#include "kinegrad/mesh.h"
 
 /* Vertices at the same place are one vertex here. Faces without area are gone, after they have
  * served to find the edges. */

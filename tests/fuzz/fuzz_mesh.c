@@ -3,7 +3,7 @@
 
 #include <unistd.h>
 
-#include "kinegrad/sdf.h"
+#include "kinegrad/mesh.h"
 
 static void read_as(const char *extension, const uint8_t *data, size_t size)
 {
