@@ -77,8 +77,8 @@ typedef struct kg_bench_group {
 typedef struct kg_bench_suite {
   const char *name;
   const char *summary;
-  const char
-    *data; /* where its data lie when nothing is said; synthetic ones if that is not there */
+  /* where its data lie when nothing is said; synthetic ones if that is not there, or always: NULL */
+  const char *data;
   const kg_bench_group *groups;
   int group_count;
 } kg_bench_suite;

@@ -2,6 +2,7 @@
 #include "bench/autodiff/cases.h"
 #include "bench/bench.h"
 #include "bench/dynamics/cases.h"
+#include "bench/sdf/cases.h"
 
 static const kg_bench_group autodiff[] = {
   {kg_bench_gmm_cases, BENCH_GMM_CASES},   {kg_bench_ba_cases, BENCH_BA_CASES},
@@ -19,6 +20,10 @@ static const kg_bench_group step[] = {
   {kg_bench_rollout_cases, BENCH_ROLLOUT_CASES},
 };
 
+static const kg_bench_group sdf[] = {
+  {kg_bench_mesh_cases, BENCH_MESH_CASES},
+};
+
 const kg_bench_suite kg_bench_suites[] = {
   {"autodiff", "gradients and Jacobians beside plain C and ADOL-C", "../shared/adbench", autodiff,
    KG_COUNT_OF(autodiff)},
@@ -26,6 +31,7 @@ const kg_bench_suite kg_bench_suites[] = {
    KG_COUNT_OF(dynamics)},
   {"step", "implicit steps of a body and their derivatives beside MuJoCo", "../shared/data", step,
    KG_COUNT_OF(step)},
+  {"sdf", "distances to meshes beside Embree and CGAL", NULL, sdf, KG_COUNT_OF(sdf)},
 };
 const int kg_bench_suite_count = (int)KG_COUNT_OF(kg_bench_suites);
 

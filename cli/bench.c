@@ -107,7 +107,9 @@ static void print_data(bench_run *s, const kg_bench_suite *suite)
     return;
   }
   s->data_of = suite;
-  if (s->setting.data_folder) {
+  if (!suite->data) {
+    fprintf(s->table, "\n%s: synthetic data\n", suite->name);
+  } else if (s->setting.data_folder) {
     fprintf(s->table, "\n%s: data in %s\n", suite->name, s->setting.data_folder);
   } else {
     fprintf(s->table, "\n%s: synthetic data, there is no %s and --data was not given\n",
@@ -221,6 +223,9 @@ static void add_pair(json_t *cases, const kg_bench_result *result, int k)
 
 static const char *data_of(const bench_values *values, const kg_bench_suite *suite)
 {
+  if (!suite->data) {
+    return NULL;
+  }
   if (values->data) {
     return values->data;
   }
@@ -327,10 +332,11 @@ static const cli_option run_options[] = {
    .value_name = "PATH",
    .default_text = "../shared/adbench, ../shared/data if they are there, else synthetic data",
    .summary = "where a suite's data lie",
-   .details = "autodiff: folder of ADBench's gmm_d10_K25.txt, gmm_d20_K50.txt, gmm_d32_K25.txt, "
-              "ba1.txt, ba5.txt. dynamics, step: a clip, or a folder with "
-              "gymnastics/cmu_49_02.bvh and gymnastics/snu_backflip.bvh. The table says where each "
-              "case's data come from.",
+   .details =
+     "autodiff: folder of ADBench's gmm_d10_K25.txt, gmm_d20_K50.txt, gmm_d32_K25.txt, "
+     "ba1.txt, ba5.txt. dynamics, step: a clip, or a folder with "
+     "gymnastics/cmu_49_02.bvh and gymnastics/snu_backflip.bvh. sdf: always synthetic. The "
+     "table says where each case's data come from.",
    .offset = offsetof(bench_values, data)},
   {.name = "rounds",
    .kind = CLI_INT,
@@ -361,7 +367,7 @@ static const bench_values defaults = {.rounds = 9};
 const cli_command cli_command_bench = {
   .name = "bench",
   .summary = "times beside those of other programs, ratios from one run",
-  .usage = "[autodiff|dynamics|step] [options]",
+  .usage = "[autodiff|dynamics|step|sdf] [options]",
   .details =
     "Runs contestants side by side in one process and prints the medians of their times, the "
     "spread between the quartiles, the memory they took and the ratios, with compiler and flags. "
