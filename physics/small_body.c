@@ -127,33 +127,49 @@ static void add_product(kg_mat3 *C, double s, const kg_mat3 *A, const kg_mat3 *B
   }
 }
 
-/* The assumed forces on links and sums; of their change, only the turning of their arms is in K. */
-static void assume_forces(kg_step *s)
+/* The assumed forces on the links, in place of those of the law; rhs = -G. */
+static void assume_forces(kg_step *s, double *rhs)
 {
-  const kg_small_problem *p = s->small;
+  kg_small_problem *p = s->small;
   kg_dynamics *d = s->dynamics;
-  kg_tree_clear_external(d);
   for (int i = 0; i < d->n; i++) {
     d->links[i].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
   }
   for (int k = 0; k < p->count; k++) {
     const kg_candidate *c = &p->candidates[k];
+    kg_force *external = &d->links[p->segment[c->slot]].external;
+    const kg_force wrench = {kg_vec3_cross(c->trial.x, c->trial.f), c->trial.f};
+    *external = kg_force_add(*external, wrench);
+  }
+  s->evaluated = false;
+  kg_step_project(s, rhs);
+  p->body_error = kg_step_merit(s, rhs);
+  for (int k = 0; k < s->def.body->nv; k++) {
+    p->free[k] = rhs[k] = -rhs[k];
+  }
+}
+
+/* The assumed forces in the sums; of their change, only the turning of their arms is in K. */
+static void linearize_forces(kg_step *s)
+{
+  const kg_small_problem *p = s->small;
+  kg_dynamics *d = s->dynamics;
+  kg_tree_clear_external(d);
+  for (int k = 0; k < p->count; k++) {
+    const kg_candidate *c = &p->candidates[k];
     const int i = p->segment[c->slot];
     kg_composite *sum = &d->sum[i + 1];
-    kg_force *external = &d->links[i].external;
     if (!sum->loaded) {
       memset(&sum->K, 0, sizeof sum->K);
       memset(&sum->D, 0, sizeof sum->D);
       sum->loaded = true;
+      sum->external = d->links[i].external;
     }
-    const kg_force wrench = {kg_vec3_cross(c->trial.x, c->trial.f), c->trial.f};
-    *external = kg_force_add(*external, wrench);
     const kg_mat3 X = kg_mat3_skew(c->trial.x), F = kg_mat3_skew(c->trial.f);
     add_product(&sum->K.ww, 1.0, &F, &X);
     for (int j = 0; j < 9; j++) {
       sum->K.wv.m[j] -= F.m[j];
     }
-    sum->external = *external;
   }
 }
 
@@ -313,23 +329,32 @@ bool kg_small_linearize(kg_step *s, double damping, double *rhs)
 {
   kg_small_problem *p = s->small;
   const kg_tree *tree = &s->dynamics->tree;
-  const int nv = s->def.body->nv;
   list_candidates(s);
-  assume_forces(s);
-  s->evaluated = false; /* the links carry the assumed forces now */
-  kg_step_project(s, rhs);
+  assume_forces(s, rhs);
+  linearize_forces(s);
   kg_step_assemble(s);
   if (damping > 0.0) {
     damp(s, damping);
   }
   if (!kg_tree_factor(tree, &s->J)) return false;
-  for (int k = 0; k < nv; k++) {
-    p->free[k] = rhs[k] = -rhs[k];
-  }
   if (p->slots == 0) return true;
   kg_tree_solve(tree, &s->J, p->free);
   find_free_motion(s);
   find_compliance(s);
   find_yields(s);
   return true;
+}
+
+void kg_small_move_on(kg_step *s, double *rhs)
+{
+  kg_small_problem *p = s->small;
+  for (int k = 0; k < p->count; k++) {
+    kg_candidate *c = &p->candidates[k];
+    const kg_link *l = &s->dynamics->links[p->segment[c->slot]];
+    const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, s->def.body->points[c->point].p));
+    c->trial = (kg_point_state){x, kg_point_velocity(l, x), p->force[c->point]};
+  }
+  assume_forces(s, rhs);
+  kg_tree_solve(&s->dynamics->tree, &s->J, p->free);
+  find_free_motion(s);
 }

@@ -28,6 +28,9 @@ static const double ARMIJO = 1e-4;
 static const double TINY_WAY = 1e-8; /* kg^1/2 m/s; rounding                                     */
 static const double ROUGH = 1.0;     /* kg^1/2 m/s; tolerance for softer laws                    */
 static const double BOUNDED = 1e-3;  /* kg^1/2 m/s; tolerance with bounded friction              */
+/* of the body's error: what the next iteration finds of that is of second order, and the forces'
+ * share of it is found with it */
+static const double TOLERATED = 0.1;
 static const double SOFT_FLOOR_SHARE = 0.9;
 static const double SOFT_STICK = 1.0; /* m/s                                              */
 static const double FIRST_STRIDE = 0.5, SMALLEST_STRIDE = 0.005; /* of hardness           */
@@ -411,7 +414,18 @@ static void sum_forces(kg_small_problem *p)
   }
 }
 
-bool kg_small_direction(kg_step *s, double *d, const double *x, double merit, double damping,
+/* d of the change of wrenches, and the forces that go with it */
+static void take_answer(kg_step *s, double *d)
+{
+  kg_small_problem *p = s->small;
+  kg_small_add_wrenches(s, p->h, d);
+  for (int k = 0; k < p->count; k++) {
+    p->force[p->candidates[k].point] = p->candidates[k].now.f;
+  }
+  kg_tree_solve(&s->dynamics->tree, &s->J, d);
+}
+
+bool kg_small_direction(kg_step *s, double *d, const double *x, double damping,
                         kg_small_report *report)
 {
   kg_small_problem *p = s->small;
@@ -419,19 +433,34 @@ bool kg_small_direction(kg_step *s, double *d, const double *x, double merit, do
   report->exact = true;
   if (!kg_small_linearize(s, damping, d)) return false;
   if (p->slots > 0) {
-    /* the body's own error falls with the square of the residual: no need to be much better */
-    p->tolerance = fmax(fmin(1e-6 * merit * merit, 1e-3), 0.1 * s->def.tolerance);
+    const double least = 0.1 * s->def.tolerance, error = p->body_error;
+    p->tolerance = fmax(TOLERATED * fmin(error * error, error), least);
     const kg_small_result result = solve(s, report);
     if (result == KG_SMALL_FAILED) return false;
     report->exact = result == KG_SMALL_SOLVED;
     if (!report->exact) { /* else h is there, with less rounding than in the stiff law's forces */
       sum_forces(p);
     }
-    kg_small_add_wrenches(s, p->h, d);
-    for (int k = 0; k < p->count; k++) {
-      p->force[p->candidates[k].point] = p->candidates[k].now.f;
-    }
   }
-  kg_tree_solve(&s->dynamics->tree, &s->J, d);
+  take_answer(s, d);
+  return true;
+}
+
+bool kg_small_chord(kg_step *s, double *d, const double *x, kg_small_report *report)
+{
+  kg_small_problem *p = s->small;
+  kg_step_ensure_evaluated(s, x);
+  if (p->slots == 0) {
+    for (int k = 0; k < s->def.body->nv; k++) {
+      d[k] = -s->G[k];
+    }
+    kg_tree_solve(&s->dynamics->tree, &s->J, d);
+    return true;
+  }
+  kg_small_move_on(s, d);
+  p->tolerance = 0.1 * s->def.tolerance;
+  start(s);
+  if (!solve_law(s, p->tolerance, CLOSING_ITERATIONS, report)) return false;
+  take_answer(s, d);
   return true;
 }

@@ -53,6 +53,7 @@ typedef struct kg_small_problem {
   double *h;                  /* (6 slots) change of the wrenches                               */
   double *rest;               /* (6 slots) scratch                                              */
   double *free, *G;           /* (nv) change of v' without h; scratch                           */
+  double body_error;          /* residual (19) at the trial v' under the forces assumed         */
   double tolerance;           /* kg^1/2 m/s                                                     */
 } kg_small_problem;
 
@@ -67,6 +68,8 @@ void kg_small_begin(kg_step *s);
  * with the forces p->force; s->J holds the factors, rhs[nv] the right-hand side without h. False:
  * singular. damping: of diag(M) / dt, added to the Jacobian. */
 bool kg_small_linearize(kg_step *s, double damping, double *rhs);
+/* The same at another v' with the factors, subspaces and compliance of the last linearisation. */
+void kg_small_move_on(kg_step *s, double *rhs);
 /* S'h of the slots added to rhs[nv]. */
 void kg_small_add_wrenches(const kg_step *s, const double *h, double *rhs);
 /* The same of one wrench. */
@@ -87,9 +90,10 @@ typedef struct kg_small_report {
   bool exact;     /* the law itself was solved; else bounded friction  */
 } kg_small_report;
 
-/* d[nv]: change of v' from x, where the residual of the step is `merit`. False: no direction. Adds to
- * the report, `exact` is set. */
-bool kg_small_direction(kg_step *s, double *d, const double *x, double merit, double damping,
+/* d[nv]: change of v' from x. False: no direction. Adds to the report, `exact` is set. */
+bool kg_small_direction(kg_step *s, double *d, const double *x, double damping,
                         kg_small_report *report);
+/* The same with the factors of the last direction, at the law itself without a fallback. */
+bool kg_small_chord(kg_step *s, double *d, const double *x, kg_small_report *report);
 
 #endif

@@ -15,6 +15,7 @@ enum {
 };
 static const double ARMIJO = 1e-4;
 static const double FIRST_DAMPING = 0.5;
+static const double CHORD_RATE = 10.0; /* in contact, over the last iteration's */
 static const double MOST_TURN = 0.4; /* rad, of a joint within an iteration */
 
 kg_step_def kg_step_default_def(const kg_body *body)
@@ -141,13 +142,12 @@ static double move(kg_step *s, double *x, double m, kg_step_report *report)
 /* s->d at x. Where the linear body would turn a joint too far or contact with it has no answer, it is
  * made heavier until neither happens; the next iteration starts with less. False when contact was
  * solved with bounded friction only, or not at all (d is zero then). */
-static bool find_direction(kg_step *s, const double *x, double m, double *damping,
-                           kg_step_report *report)
+static bool find_direction(kg_step *s, const double *x, double *damping, kg_step_report *report)
 {
   kg_small_report small = {0};
   bool found = false;
   for (int trial = 0; trial < DAMPINGS; trial++) {
-    found = kg_small_direction(s, s->d, x, m, *damping, &small);
+    found = kg_small_direction(s, s->d, x, *damping, &small);
     report->iterations++;
     if (s->small->slots == 0) break; /* in the air the step is cut instead */
     if (found && small.exact && longest_share(s) >= 1.0) break;
@@ -164,28 +164,28 @@ static bool find_direction(kg_step *s, const double *x, double m, double *dampin
 }
 
 /* More steps with the factors of the last Jacobian, as long as they promise to reach the tolerance in
- * a few: in the air such a step costs a fifth of one with a new Jacobian. Returns the residual. */
-static double refine(kg_step *s, double *x, double m, kg_step_report *report)
+ * a few: in the air such a step costs a fifth of one with a new Jacobian, in contact a third. `rate`:
+ * what one of them is thought to leave of the residual. Returns the residual. */
+static double refine(kg_step *s, double *x, double m, double rate, kg_step_report *report)
 {
   const int nv = s->def.body->nv;
-  bool promising = true;
-  while (m > s->def.tolerance && promising) {
-    for (int k = 0; k < nv; k++) {
-      s->d[k] = -s->G[k];
-    }
-    kg_tree_solve(&s->dynamics->tree, &s->J, s->d);
+  while (m > s->def.tolerance && m * rate * rate * rate <= s->def.tolerance) {
+    kg_small_report small = {0};
+    const bool found = kg_small_chord(s, s->d, x, &small);
     report->chord_steps++;
+    report->contact_iterations += small.iterations;
+    report->cuts += small.cuts;
     for (int k = 0; k < nv; k++) {
       s->x_trial[k] = x[k] + s->d[k];
     }
-    const double m_trial = residual_at(s, s->x_trial), rate = m_trial / m;
+    const double m_trial = found ? residual_at(s, s->x_trial) : INFINITY;
+    rate = m_trial / m;
     if (!(rate < 0.5)) { /* also when not a number */
       kg_step_ensure_evaluated(s, x);
       return m;
     }
     memcpy(x, s->x_trial, (size_t)nv * sizeof *x);
     m = m_trial;
-    promising = m * rate * rate * rate <= s->def.tolerance;
   }
   return m;
 }
@@ -208,11 +208,12 @@ static double iterate(kg_step *s, double *x, kg_step_report *report)
       memcpy(s->x_best, x, bytes);
     }
     if (m <= s->def.tolerance || k == s->def.max_iterations || stalled == MOST_STALLED) break;
-    bounded += !find_direction(s, x, m, &damping, report);
+    bounded += !find_direction(s, x, &damping, report);
     if (bounded > MOST_BOUNDED) break;
+    const double before = m;
     m = move(s, x, m, report);
-    if (s->small->slots == 0 && damping == 0.0 && isfinite(m)) {
-      m = refine(s, x, m, report);
+    if (damping == 0.0 && isfinite(m)) {
+      m = refine(s, x, m, s->small->slots > 0 ? CHORD_RATE * m / before : 0.0, report);
     }
   }
   if (isfinite(best)) {

@@ -66,7 +66,7 @@ typedef struct kg_step_report {
   int substeps;               /* 1 when the plain step converged                              */
   int iterations;             /* Newton's: factorisations of the body's Jacobian, all attempts
                                  and sub-steps                                                */
-  int chord_steps;            /* in the air, with the factors of an iteration once more       */
+  int chord_steps;            /* with the factors of an iteration once more                   */
   int contact_iterations;     /* of the small contact problem inside these                    */
   int cuts;                   /* line-search halvings, of both                                */
   bool used_fallback;         /* softened contact or lagged normal forces had to show the way */
