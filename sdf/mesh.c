@@ -41,9 +41,12 @@ typedef enum feature {
 struct kg_mesh {
   kg_arena arena;
   int triangle_count;
-  triangle *triangles;     /* (triangle_count) in leaf order                    */
-  int (*corner)[3];        /* (triangle_count) vertex of each corner            */
-  int (*edge)[3];          /* (triangle_count) edges ab, bc, ca                 */
+  triangle *triangles; /* (triangle_count) in leaf order                    */
+  int (*corner)[3];    /* (triangle_count) vertex of each corner            */
+  int (*edge)[3];      /* (triangle_count) edges ab, bc, ca                 */
+  int *source;         /* (triangle_count) number in the input              */
+  kg_vec3 lo, hi;      /* bounding box                                      */
+  bool is_closed;
   kg_vec3 *vertex_normals; /* pseudo-normals, unit or zero                      */
   kg_vec3 *edge_normals;
   bvh tree;
@@ -95,17 +98,27 @@ static feature closest_on_triangle(const triangle *t, kg_vec3 x, kg_vec3 *d)
   return FACE;
 }
 
+/* Among equals the smallest number of the input counts, whatever the order they are met in. */
+static void keep_closer(const kg_mesh *mesh, closest *best, const closest *other)
+{
+  const bool tie = other->distance2 == best->distance2 && best->triangle >= 0 &&
+                   mesh->source[other->triangle] < mesh->source[best->triangle];
+  if (other->distance2 < best->distance2 || tie) {
+    *best = *other;
+  }
+}
+
 static void visit_leaf(const kg_mesh *mesh, int first, int count, kg_vec3 x, closest *best)
 {
   for (int k = first; k < first + count; k++) {
     kg_vec3 d;
     const feature on = closest_on_triangle(&mesh->triangles[k], x, &d);
-    const double distance2 = kg_vec3_dot(d, d);
-    if (distance2 < best->distance2) {
-      *best = (closest){distance2, k, on, d};
-    }
+    keep_closer(mesh, best, &(closest){kg_vec3_dot(d, d), k, on, d});
   }
 }
+
+/* From here on (m) a mesh is a point. */
+#define FAR_AWAY 1e18
 
 /* The roundings of a squared distance in floats add up to less than 5e-7 of it. */
 #define ROUNDED 0.9999990f
@@ -160,17 +173,16 @@ typedef struct waiting {
   int child, count;
 } waiting;
 
-/* Depth first, nearest box first. */
-static closest find_closest(const kg_mesh *mesh, kg_vec3 x)
+/* Depth first, nearest box first. best: what is known already. */
+static closest find_closest(const kg_mesh *mesh, kg_vec3 x, closest best)
 {
-  closest best = {INFINITY, -1, FACE, {0.0, 0.0, 0.0}};
   const float_point point = as_floats(x);
   waiting stack[BVH_STACK];
   int top = 0;
   stack[top++] = (waiting){0.0f, 0, 0};
   while (top > 0) {
     const waiting item = stack[--top];
-    if (!((double)item.distance2 < best.distance2)) continue;
+    if (!((double)item.distance2 <= best.distance2)) continue;
     if (item.count > 0) {
       visit_leaf(mesh, item.child, item.count, x, &best);
       continue;
@@ -180,7 +192,7 @@ static closest find_closest(const kg_mesh *mesh, kg_vec3 x)
     box_distances(node, &point, distance2);
     const int base = top;
     for (int k = 0; k < BVH_WIDTH; k++) {
-      if (node->count[k] < 0 || !((double)distance2[k] < best.distance2)) continue;
+      if (node->count[k] < 0 || !((double)distance2[k] <= best.distance2)) continue;
       int at = top++; /* keep the nearest on top */
       for (; at > base && stack[at - 1].distance2 < distance2[k]; at--) {
         stack[at] = stack[at - 1];
@@ -197,34 +209,158 @@ static kg_vec3 edge_direction(const triangle *t, feature on)
   return kg_vec3_normalized(e);
 }
 
+static closest nothing_within(double limit)
+{
+  return (closest){limit * limit, -1, FACE, {0.0, 0.0, 0.0}};
+}
+
+/* The distance to one triangle is a first bound. */
+static void try_hint(const kg_mesh *mesh, kg_vec3 x, const kg_mesh_hint *hint, closest *best)
+{
+  if (hint && hint->triangle >= 0 && hint->triangle < mesh->triangle_count) {
+    visit_leaf(mesh, hint->triangle, 1, x, best);
+  }
+}
+
+static bool is_searchable(kg_vec3 x)
+{
+  /* squares of distances must not overflow in floats */
+  return fabs(x.x) < FAR_AWAY && fabs(x.y) < FAR_AWAY && fabs(x.z) < FAR_AWAY;
+}
+
+static double far_component(double c, double largest)
+{
+  return isinf(largest) ? (isinf(c) ? copysign(1.0, c) : 0.0) : c / largest;
+}
+
+/* Value of a point that is not searchable. */
+static kg_sdf_value far_value(kg_vec3 x)
+{
+  if (isnan(x.x) || isnan(x.y) || isnan(x.z)) {
+    return (kg_sdf_value){NAN, {0.0, 1.0, 0.0}, {0.0}};
+  }
+  const double largest = fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z)));
+  const kg_vec3 d = {far_component(x.x, largest), far_component(x.y, largest),
+                     far_component(x.z, largest)};
+  return (kg_sdf_value){largest * kg_vec3_norm(d), kg_vec3_normalized(d), {0.0}};
+}
+
+/* Beside its box a closed mesh has no inside. From afar all triangles are equally near but for
+ * rounding, and the side of any one says nothing. */
+static bool is_surely_outside(const kg_mesh *mesh, kg_vec3 x)
+{
+  const kg_vec3 lo = mesh->lo, hi = mesh->hi;
+  return mesh->is_closed &&
+         (x.x < lo.x || x.y < lo.y || x.z < lo.z || x.x > hi.x || x.y > hi.y || x.z > hi.z);
+}
+
+static kg_sdf_value negated(kg_sdf_value v)
+{
+  v.distance = -v.distance;
+  v.normal = kg_vec3_scale(-1.0, v.normal);
+  for (int i = 0; i < 6; i++) {
+    v.hessian[i] = -v.hessian[i];
+  }
+  return v;
+}
+
+/* Value at x, whose closest point is known. */
+static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *best)
+{
+  const triangle *t = &mesh->triangles[best->triangle];
+  if (best->on == FACE) {
+    const double height = kg_vec3_dot(t->n, kg_vec3_sub(x, t->a));
+    const kg_sdf_value out = {height, t->n, {0.0}};
+    return height < 0.0 && is_surely_outside(mesh, x) ? negated(out) : out;
+  }
+  const bool edge = best->on >= EDGE_AB;
+  const kg_vec3 N = edge ? mesh->edge_normals[mesh->edge[best->triangle][best->on - EDGE_AB]]
+                         : mesh->vertex_normals[mesh->corner[best->triangle][best->on - CORNER_A]];
+  const kg_vec3 along = edge ? edge_direction(t, best->on) : kg_vec3_make(0.0, 0.0, 0.0);
+  const kg_sdf_value out = edge_feature(best->d, along, kg_vec3_dot(N, N) > 0.0 ? N : t->n);
+  if (!(kg_vec3_dot(N, best->d) < 0.0) || is_surely_outside(mesh, x)) {
+    return out;
+  }
+  if (out.distance < FEATURE_TINY) { /* the fallback normal already points outwards */
+    return (kg_sdf_value){-out.distance, out.normal, {0.0}};
+  }
+  return negated(out);
+}
+
+bool kg_mesh_distance_within(const kg_mesh *mesh, kg_vec3 x, double limit, kg_mesh_hint *hint,
+                             kg_sdf_value *value)
+{
+  if (!(limit > 0.0)) {
+    return false;
+  }
+  if (!is_searchable(x)) {
+    const kg_sdf_value far = far_value(x);
+    const bool is_within = !(far.distance >= limit) || isinf(limit);
+    if (is_within) {
+      *value = far;
+    }
+    return is_within;
+  }
+  closest best = nothing_within(limit);
+  try_hint(mesh, x, hint, &best);
+  best = find_closest(mesh, x, best);
+  if (best.triangle < 0) {
+    return false;
+  }
+  if (hint) {
+    hint->triangle = best.triangle;
+  }
+  *value = value_of(mesh, x, &best);
+  return true;
+}
+
+kg_sdf_value kg_mesh_distance_from(const kg_mesh *mesh, kg_vec3 x, kg_mesh_hint *hint)
+{
+  kg_sdf_value value = {NAN, {0.0, 1.0, 0.0}, {0.0}};
+  const bool is_found = kg_mesh_distance_within(mesh, x, INFINITY, hint, &value);
+  KG_ASSERT(is_found || !is_searchable(x));
+  (void)is_found;
+  return value;
+}
+
 kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x)
 {
-  const double far = kg_vec3_norm(x);
-  if (!(far < 1e18)) { /* not finite, or its square overflows a float: any mesh is a point then */
-    return (kg_sdf_value){far, {0.0, 1.0, 0.0}, {0.0}};
+  return kg_mesh_distance_from(mesh, x, NULL);
+}
+
+void kg_mesh_distance_many(const kg_mesh *mesh, int count, const kg_vec3 *x, kg_mesh_hint *hints,
+                           kg_sdf_value *values)
+{
+  for (int i = 0; i < count; i++) {
+    values[i] = kg_mesh_distance_from(mesh, x[i], hints ? &hints[i] : NULL);
   }
-  const closest best = find_closest(mesh, x);
-  KG_ASSERT(best.triangle >= 0);
-  const triangle *t = &mesh->triangles[best.triangle];
-  if (best.on == FACE) {
-    const double height = kg_vec3_dot(t->n, kg_vec3_sub(x, t->a));
-    return (kg_sdf_value){height, t->n, {0.0}};
+}
+
+kg_mesh_hit kg_mesh_closest(const kg_mesh *mesh, kg_vec3 x)
+{
+  if (!is_searchable(x)) {
+    const kg_sdf_value far = far_value(x);
+    return (kg_mesh_hit){far.distance, {0.0, 0.0, 0.0}, far.normal, -1, KG_MESH_VERTEX};
   }
-  const bool edge = best.on >= EDGE_AB;
-  const kg_vec3 N = edge ? mesh->edge_normals[mesh->edge[best.triangle][best.on - EDGE_AB]]
-                         : mesh->vertex_normals[mesh->corner[best.triangle][best.on - CORNER_A]];
-  const kg_vec3 along = edge ? edge_direction(t, best.on) : kg_vec3_make(0.0, 0.0, 0.0);
-  kg_sdf_value out = edge_feature(best.d, along, kg_vec3_dot(N, N) > 0.0 ? N : t->n);
-  if (kg_vec3_dot(N, best.d) < 0.0) {
-    out.distance = -out.distance;
-    if (-out.distance >= FEATURE_TINY) { /* the fallback normal already points outwards */
-      out.normal = kg_vec3_scale(-1.0, out.normal);
-    }
-    for (int i = 0; i < 6; i++) {
-      out.hessian[i] = -out.hessian[i];
-    }
-  }
-  return out;
+  const closest best = find_closest(mesh, x, nothing_within(INFINITY));
+  const kg_sdf_value value = value_of(mesh, x, &best);
+  const kg_mesh_feature on = best.on == FACE      ? KG_MESH_FACE
+                             : best.on >= EDGE_AB ? KG_MESH_EDGE
+                                                  : KG_MESH_VERTEX;
+  return (kg_mesh_hit){value.distance, kg_vec3_sub(x, best.d), value.normal,
+                       mesh->source[best.triangle], on};
+}
+
+bool kg_mesh_touches_ball(const kg_mesh *mesh, kg_vec3 center, double radius)
+{
+  kg_sdf_value value;
+  return kg_mesh_distance_within(mesh, center, radius, NULL, &value);
+}
+
+void kg_mesh_bounds(const kg_mesh *mesh, kg_vec3 *lo, kg_vec3 *hi)
+{
+  *lo = mesh->lo;
+  *hi = mesh->hi;
 }
 
 /* ---- building --------------------------------------------------------------------------------- */
@@ -260,14 +396,24 @@ static void add_pseudo_normals(kg_mesh *mesh, const triangle *t, int k)
   }
 }
 
+static kg_vec3 lower(kg_vec3 a, kg_vec3 b)
+{
+  return kg_vec3_make(fmin(a.x, b.x), fmin(a.y, b.y), fmin(a.z, b.z));
+}
+
+static kg_vec3 upper(kg_vec3 a, kg_vec3 b)
+{
+  return kg_vec3_make(fmax(a.x, b.x), fmax(a.y, b.y), fmax(a.z, b.z));
+}
+
 static bvh_box triangle_box(const topology *topo, int face)
 {
   const kg_vec3 a = topo->vertices[topo->corner[face][0]];
   bvh_box box = {a, a};
   for (int i = 1; i < 3; i++) {
     const kg_vec3 b = topo->vertices[topo->corner[face][i]];
-    box.lo = kg_vec3_make(fmin(box.lo.x, b.x), fmin(box.lo.y, b.y), fmin(box.lo.z, b.z));
-    box.hi = kg_vec3_make(fmax(box.hi.x, b.x), fmax(box.hi.y, b.y), fmax(box.hi.z, b.z));
+    box.lo = lower(box.lo, b);
+    box.hi = upper(box.hi, b);
   }
   return box;
 }
@@ -278,17 +424,21 @@ static bool build_tree(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
   if (!boxes) return false;
   for (int i = 0; i < topo->face_count; i++) {
     boxes[i] = triangle_box(topo, i);
+    mesh->lo = i == 0 ? boxes[i].lo : lower(mesh->lo, boxes[i].lo);
+    mesh->hi = i == 0 ? boxes[i].hi : upper(mesh->hi, boxes[i].hi);
   }
   return bvh_build(&mesh->tree, boxes, topo->face_count, &mesh->arena, scratch);
 }
 
 static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
 {
+  mesh->is_closed = topo->is_closed;
   const int count = topo->face_count;
   mesh->triangle_count = count;
   mesh->triangles = KG_ARENA_ARRAY(&mesh->arena, triangle, count);
   mesh->corner = kg_arena_alloc(&mesh->arena, (size_t)count, sizeof *mesh->corner);
   mesh->edge = kg_arena_alloc(&mesh->arena, (size_t)count, sizeof *mesh->edge);
+  mesh->source = KG_ARENA_ARRAY(&mesh->arena, int, count);
   mesh->vertex_normals = KG_ARENA_ARRAY(&mesh->arena, kg_vec3, topo->vertex_count);
   mesh->edge_normals = KG_ARENA_ARRAY(&mesh->arena, kg_vec3, topo->edge_count);
   if (kg_arena_failed(&mesh->arena) || !build_tree(mesh, topo, scratch)) return false;
@@ -296,6 +446,7 @@ static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
     const int face = mesh->tree.order[k];
     memcpy(mesh->corner[k], topo->corner[face], sizeof *mesh->corner);
     memcpy(mesh->edge[k], topo->edge[face], sizeof *mesh->edge);
+    mesh->source[k] = topo->source[face];
     fill_triangle(&mesh->triangles[k], topo, face);
     add_pseudo_normals(mesh, &mesh->triangles[k], k);
   }

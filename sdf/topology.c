@@ -91,6 +91,7 @@ static bool collect_faces(topology *out, const int *merged, const int *triangles
   bool *dropped = KG_ARENA_ARRAY(arena, bool, count);
   out->corner = kg_arena_alloc(arena, (size_t)count, sizeof *out->corner);
   out->edge = kg_arena_alloc(arena, (size_t)count, sizeof *out->edge);
+  out->source = KG_ARENA_ARRAY(arena, int, count);
   if (kg_arena_failed(arena)) return false;
   for (int i = 0; i < count; i++) {
     const int *t = &triangles[3 * (size_t)i];
@@ -110,6 +111,7 @@ static bool collect_faces(topology *out, const int *merged, const int *triangles
   out->face_count = 0;
   for (int i = 0; i < count; i++) {
     if (!dropped[i]) {
+      out->source[out->face_count] = i;
       int *corner = out->corner[out->face_count++];
       for (int k = 0; k < 3; k++) {
         corner[k] = merged[triangles[3 * (size_t)i + (size_t)k]];
@@ -166,7 +168,7 @@ static bool number_edges(topology *out, kg_mesh_report *report, kg_arena *arena)
     out->edge_count++;
   }
   /* every edge walked as often one way as the other: the faces enclose a volume */
-  report->closed = balanced;
+  report->closed = out->is_closed = balanced;
   return true;
 }
 
@@ -217,6 +219,7 @@ static void remove_slivers(topology *topo, kg_mesh_report *report)
     }
     memmove(topo->corner[kept], topo->corner[i], sizeof *topo->corner);
     memmove(topo->edge[kept], topo->edge[i], sizeof *topo->edge);
+    topo->source[kept] = topo->source[i];
     kept++;
   }
   topo->face_count = kept;

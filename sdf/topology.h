@@ -13,7 +13,9 @@ typedef struct topology {
   int face_count;
   int (*corner)[3]; /* (face_count) vertices, counter-clockwise from outside */
   int (*edge)[3];   /* (face_count) edges 01, 12, 20                         */
+  int *source;      /* (face_count) number of the triangle in the input      */
   int edge_count;
+  bool is_closed; /* every edge is walked as often one way as the other */
 } topology;
 
 /* Memory from arena. Turns a closed mesh of negative volume around. Errors as kg_mesh_create. */

@@ -174,6 +174,125 @@ static void inside_out_mesh_is_turned_around(void **state)
   kg_mesh_destroy(inwards);
 }
 
+static void assert_same_value(const kg_sdf_value *a, const kg_sdf_value *b)
+{
+  assert_memory_equal(&a->distance, &b->distance, sizeof a->distance);
+  assert_memory_equal(&a->normal, &b->normal, sizeof a->normal);
+  assert_memory_equal(a->hessian, b->hessian, sizeof a->hessian);
+}
+
+/* Every way to ask, whatever the hint, gives the bits of kg_mesh_distance. */
+static void all_queries_give_the_same_bits(void **state)
+{
+  (void)state;
+  enum { COUNT = 3000 };
+  soup *s = fresh_soup();
+  add_spiky(s, 3, 9);
+  kg_mesh *mesh = build_mesh(s, NULL);
+  kg_random random = kg_random_make(26);
+  static kg_vec3 x[COUNT];
+  static kg_sdf_value cold[COUNT], many[COUNT], warm[COUNT];
+  static kg_mesh_hint hints[COUNT];
+  for (int i = 0; i < COUNT; i++) {
+    x[i] = i % 5 == 0 ? s->vertices[i % s->vertex_count] : random_vec3(&random, 0.7);
+    cold[i] = kg_mesh_distance(mesh, x[i]);
+    hints[i].triangle = (int)(kg_random_uniform(&random) * (s->triangle_count + 20)) - 10;
+  }
+  kg_mesh_distance_many(mesh, COUNT, x, NULL, many);
+  kg_mesh_distance_many(mesh, COUNT, x, hints, warm);
+  for (int i = 0; i < COUNT; i++) {
+    assert_same_value(&cold[i], &many[i]);
+    assert_same_value(&cold[i], &warm[i]);
+    assert_in_range(hints[i].triangle, 0, s->triangle_count - 1);
+    const kg_sdf_value again = kg_mesh_distance_from(mesh, x[i], &hints[i]);
+    assert_same_value(&cold[i], &again);
+
+    const kg_mesh_hit hit = kg_mesh_closest(mesh, x[i]);
+    assert_true(hit.distance == cold[i].distance);
+    assert_memory_equal(&hit.normal, &cold[i].normal, sizeof hit.normal);
+    assert_close(kg_vec3_norm(kg_vec3_sub(x[i], hit.point)), fabs(hit.distance), 1e-14);
+    const int *t = s->triangles[hit.triangle];
+    const kg_vec3 a = s->vertices[t[0]], b = s->vertices[t[1]], c = s->vertices[t[2]];
+    assert_close(triangle_distance(a, b, c, x[i]), fabs(hit.distance), 1e-13);
+    const double to_corners =
+      fmin(kg_vec3_norm(kg_vec3_sub(hit.point, a)),
+           fmin(kg_vec3_norm(kg_vec3_sub(hit.point, b)), kg_vec3_norm(kg_vec3_sub(hit.point, c))));
+    assert_true((hit.feature == KG_MESH_VERTEX) == (to_corners < 1e-12));
+    const double to_edges =
+      fmin(segment_distance(a, b, hit.point),
+           fmin(segment_distance(b, c, hit.point), segment_distance(c, a, hit.point)));
+    assert_true((hit.feature == KG_MESH_FACE) == (to_edges > 1e-12));
+  }
+  kg_mesh_destroy(mesh);
+}
+
+/* Strictly nearer than the limit, or not found; a ball touches exactly then. */
+static void limits_cut_off_exactly(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_spiky(s, 2, 10);
+  kg_mesh *mesh = build_mesh(s, NULL);
+  kg_random random = kg_random_make(27);
+  int found = 0;
+  for (int i = 0; i < 4000; i++) {
+    const kg_vec3 x = random_vec3(&random, 0.8);
+    const double limit = i % 50 == 0 ? 0.0 : 0.6 * kg_random_uniform(&random);
+    const kg_sdf_value exact = kg_mesh_distance(mesh, x);
+    const kg_sdf_value untouched = {123.0, {4.0, 5.0, 6.0}, {7.0}};
+    kg_sdf_value value = untouched;
+    kg_mesh_hint hint = {i % 3 == 0 ? -1 : i % s->triangle_count};
+    const int before = hint.triangle;
+    const bool is_within = kg_mesh_distance_within(mesh, x, limit, &hint, &value);
+    assert_true(is_within == (fabs(exact.distance) < limit));
+    assert_true(kg_mesh_touches_ball(mesh, x, limit) == is_within);
+    assert_same_value(&value, is_within ? &exact : &untouched);
+    assert_true(is_within || hint.triangle == before);
+    found += is_within;
+  }
+  assert_in_range(found, 500, 3500);
+  kg_sdf_value value;
+  assert_false(kg_mesh_distance_within(mesh, s->vertices[0], -1.0, NULL, &value));
+  assert_false(kg_mesh_distance_within(mesh, s->vertices[0], NAN, NULL, &value));
+  kg_mesh_destroy(mesh);
+}
+
+static void far_points_have_a_value(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_spiky(s, 2, 11);
+  kg_mesh *mesh = build_mesh(s, NULL);
+  kg_vec3 lo, hi;
+  kg_mesh_bounds(mesh, &lo, &hi);
+  for (int i = 0; i < s->vertex_count; i++) {
+    const kg_vec3 v = s->vertices[i];
+    assert_true(v.x >= lo.x && v.y >= lo.y && v.z >= lo.z);
+    assert_true(v.x <= hi.x && v.y <= hi.y && v.z <= hi.z);
+  }
+  kg_random random = kg_random_make(28);
+  const double sizes[] = {1e2, 1e6, 1e12, 1e17, 1e18, 1e30, 1e200};
+  for (size_t k = 0; k < KG_COUNT_OF(sizes); k++) {
+    for (int i = 0; i < 20; i++) {
+      const kg_vec3 x = random_vec3(&random, sizes[k]);
+      const kg_sdf_value v = kg_mesh_distance(mesh, x);
+      const double largest = fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z)));
+      const double norm = largest * kg_vec3_norm(kg_vec3_scale(1.0 / largest, x));
+      assert_close(v.distance / norm, sizes[k] < 1e10 ? brute_distance(s, x) / norm : 1.0, 1e-11);
+      assert_close(kg_vec3_norm(v.normal), 1.0, 1e-12);
+      assert_at_most(1.0 - kg_vec3_dot(v.normal, kg_vec3_scale(1.0 / norm, x)), 1e-3);
+    }
+  }
+  const kg_sdf_value beyond = kg_mesh_distance(mesh, kg_vec3_make(3.0, -INFINITY, 1.0));
+  assert_true(isinf(beyond.distance) && beyond.distance > 0.0 && beyond.normal.y == -1.0);
+  kg_sdf_value value = {0.0, {0.0, 0.0, 0.0}, {0.0}};
+  assert_true(kg_mesh_distance_within(mesh, kg_vec3_make(0.0, NAN, INFINITY), 1.0, NULL, &value));
+  assert_true(isnan(value.distance));
+  assert_false(kg_mesh_distance_within(mesh, kg_vec3_make(1e19, 0.0, 0.0), 1.0, NULL, &value));
+  assert_int_equal(kg_mesh_closest(mesh, kg_vec3_make(1e19, 0.0, 0.0)).triangle, -1);
+  kg_mesh_destroy(mesh);
+}
+
 static void volume_is_right(void **state)
 {
   (void)state;
@@ -486,6 +605,9 @@ int main(void)
     cmocka_unit_test(points_on_the_surface_have_a_usable_normal),
     cmocka_unit_test(open_mesh_is_reported_and_signed_by_side),
     cmocka_unit_test(inside_out_mesh_is_turned_around),
+    cmocka_unit_test(all_queries_give_the_same_bits),
+    cmocka_unit_test(limits_cut_off_exactly),
+    cmocka_unit_test(far_points_have_a_value),
     cmocka_unit_test(volume_is_right),
     cmocka_unit_test(broken_faces_are_counted_and_named),
     cmocka_unit_test(vertices_at_one_place_are_one_vertex),

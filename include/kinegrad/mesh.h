@@ -17,7 +17,7 @@ typedef struct kg_mesh kg_mesh;
  * finding, "" when the mesh is clean. */
 typedef struct kg_mesh_report {
   int vertices, triangles;
-  int boundary_edges;     /* > 0: open; distance is then signed by the nearest side only */
+  int boundary_edges; /* > 0: open; distance is then signed by the nearest side only */
   int non_manifold_edges;
   int inconsistent_edges; /* two faces with opposite orientation                        */
   int degenerate;         /* faces of zero area, removed                                */
@@ -45,9 +45,55 @@ KG_API KG_MUST_USE kg_status kg_mesh_read(kg_mesh **mesh, const char *path, doub
                                           kg_error *error);
 KG_API void kg_mesh_destroy(kg_mesh *mesh);
 
-/* Exact signed distance; sign by angle-weighted pseudo-normals [BAER] J. A. Baerentzen, H. Aanaes,
- * Signed distance computation using the angle weighted pseudonormal, IEEE TVCG 11(3), 2005. */
+/* Bounding box of the triangles. */
+KG_API void kg_mesh_bounds(const kg_mesh *mesh, kg_vec3 *lo, kg_vec3 *hi);
+
+/* ---- distance --------------------------------------------------------------------------------
+ *
+ * Exact signed distance to the nearest triangle, as a look at all of them in double arithmetic
+ * gives it; sign by angle-weighted pseudo-normals [BAER] J. A. Baerentzen, H. Aanaes, Signed
+ * distance computation using the angle weighted pseudonormal, IEEE TVCG 11(3), 2005.
+ * Answers depend on the mesh and the point alone: hints, limits, other points of a batch, threads
+ * and the processor's instruction set do not change a bit. A mesh is only read: any number of
+ * threads may ask at once.
+ *
+ * Defined everywhere. On the medial axis one of the nearest triangles counts, that of the smallest
+ * number. Outside the box of a closed mesh the sign is positive, however far away. Where a
+ * coordinate reaches 1e18 m the mesh is a point at the origin: value |x|, normal x / |x|. A
+ * coordinate that is NaN gives a distance of NaN. */
+
+/* Part of the surface that the closest point lies on. */
+typedef enum kg_mesh_feature { KG_MESH_FACE, KG_MESH_EDGE, KG_MESH_VERTEX } kg_mesh_feature;
+
+typedef struct kg_mesh_hit {
+  double distance; /* signed, m                                                       */
+  kg_vec3 point;   /* closest point of the surface                                    */
+  kg_vec3 normal;  /* unit gradient of the distance at x                              */
+  int triangle;    /* the closest one, in the numbering given to kg_mesh_create; -1: x is not finite
+                      or 1e18 m away                                                  */
+  kg_mesh_feature feature;
+} kg_mesh_hit;
+
+/* Where the search begins: the closest triangle of an earlier point nearby saves most of it. {-1}
+ * is none; anything else, from another mesh too, costs time at worst. */
+typedef struct kg_mesh_hint {
+  int triangle;
+} kg_mesh_hint;
+
 KG_API kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x);
+/* The same number, faster after a small move. hint: in and out. */
+KG_API kg_sdf_value kg_mesh_distance_from(const kg_mesh *mesh, kg_vec3 x, kg_mesh_hint *hint);
+/* values[i] at x[i], i < count; hints: NULL or (count). */
+KG_API void kg_mesh_distance_many(const kg_mesh *mesh, int count, const kg_vec3 *x,
+                                  kg_mesh_hint *hints, kg_sdf_value *values);
+KG_API kg_mesh_hit kg_mesh_closest(const kg_mesh *mesh, kg_vec3 x);
+
+/* False, soon, when |Phi(x)| >= limit; value and hint stay as they are. Else true and the value; at a
+ * point that is NaN too. A point deep inside has a large |Phi| as well. limit INFINITY: none. hint may be NULL. */
+KG_API bool kg_mesh_distance_within(const kg_mesh *mesh, kg_vec3 x, double limit,
+                                    kg_mesh_hint *hint, kg_sdf_value *value);
+/* Is any triangle nearer than radius to center? Ends with the first one found. */
+KG_API bool kg_mesh_touches_ball(const kg_mesh *mesh, kg_vec3 center, double radius);
 
 #ifdef __cplusplus
 }
