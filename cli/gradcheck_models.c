@@ -89,12 +89,13 @@ static void rotation_jacobian(cli_models *m, const double *x, double *J)
 
 /* ---- signed distances ------------------------------------------------------------------------ */
 
-enum { SHAPES = 6 };
+enum { SHAPES = 11, BALL = 1, MOVING = 10 };
 
 static kg_sdf_value distance(const cli_models *m, kg_vec3 x)
 {
-  kg_scene one = {.shape_count = 1, .shapes = {m->shapes.shapes[m->shape % SHAPES]}};
-  return kg_scene_distance(&one, x);
+  kg_sdf_value value;
+  (void)kg_scene_shape_distance(&m->shapes, m->shape, x, INFINITY, &value);
+  return value;
 }
 
 /* Whether the normal turns smoothly around x: not across the border between the regions of two
@@ -149,21 +150,33 @@ static void normal_jacobian(cli_models *m, const double *x, double *J)
 
 /* ---- contact --------------------------------------------------------------------------------- */
 
-/* A point beside the sphere at Phi between -0.1 and 0.9 layers, moving up to a few stick
- * velocities. */
+/* A point at Phi between -0.1 and 0.9 layers of the body, or as far as that into the one of the
+ * ground, moving up to a few stick velocities against the shape. */
 static void prepare_contact(cli_models *m, double *x)
 {
-  const kg_sdf_shape *sphere = &m->shapes.shapes[1];
-  const kg_vec3 n = kg_vec3_normalized(random_vector(m, 1.0));
-  const double phi = m->contact.layer * (kg_random_uniform(&m->random) - 0.1);
-  m->position = kg_vec3_add_scaled(sphere->a, sphere->radius + phi, n);
+  const kg_ground *ground = m->shape == MOVING ? &m->shapes.grounds[0] : NULL;
+  kg_vec3 at;
+  do {
+    at = random_vector(m, 0.8);
+  } while (distance(m, at).distance < 0.0);
+  const double share = kg_random_uniform(&m->random) - 0.1, layer = m->contact.layer;
+  const kg_sdf_value from = distance(m, at);
+  const double phi = share * (ground ? layer + ground->thickness : layer);
+  m->position = kg_vec3_add_scaled(at, phi - from.distance, from.normal);
   m->velocity = random_vector(m, m->contact.stick);
+  if (ground) {
+    const kg_vec3 moves = kg_place_velocity(&m->shapes.places[0], m->position);
+    m->velocity = kg_vec3_add(m->velocity, moves);
+  }
   memset(x, 0, 6 * sizeof *x);
 }
 
 static kg_contact_force contact_at(const cli_models *m, const double *x)
 {
-  const kg_scene one = {.shape_count = 1, .shapes = {m->shapes.shapes[1]}};
+  kg_scene one = m->shapes;
+  one.shape_count = 1;
+  one.shapes[0] = m->shapes.shapes[m->shape];
+  one.shapes[0].part = false; /* the ball also belongs to combinations */
   kg_contact_force force;
   kg_contact_evaluate(&m->contact, &one, kg_vec3_add_scaled(m->position, m->contact.layer, load(x)),
                       kg_vec3_add_scaled(m->velocity, m->contact.stick, load(x + 3)), true, &force);
@@ -372,8 +385,10 @@ typedef struct model {
 static const model table[] = {
   {"rotation, right Jacobian",  3, 3, 0, prepare_rotation, rotation_value, rotation_jacobian},
   DISTANCE("plane", 0), DISTANCE("sphere", 1), DISTANCE("box", 2), DISTANCE("capsule", 3),
-  DISTANCE("height field", 4), DISTANCE("mesh", 5),
-  {"contact force",             6, 3, 0, prepare_contact, contact_value, contact_jacobian},
+  DISTANCE("height field", 4), DISTANCE("mesh", 5), DISTANCE("ellipsoid", 6), DISTANCE("cylinder", 7),
+  DISTANCE("intersection", 8), DISTANCE("smooth union", 9), DISTANCE("moved ellipsoid", MOVING),
+  {"contact force",             6, 3, BALL, prepare_contact, contact_value, contact_jacobian},
+  {"contact force, soft and moving", 6, 3, MOVING, prepare_contact, contact_value, contact_jacobian},
   {"position of a body point", -1, 3, 0, prepare_pose, point_value, point_jacobian},
   {"kinetic energy, M v",      -1, 1, 0, prepare_energy, energy_value, energy_jacobian},
   {"inverse dynamics (q, v, a)", -3, -1, 0, prepare_inverse, inverse_value, inverse_jacobian},
@@ -564,9 +579,22 @@ static kg_status create_shapes(cli_models *m)
     {.kind = KG_SHAPE_BOX, .a = {0, 0.1, 0}, .b = {0.2, 0.3, 0.1}, .orientation = turned},
     {.kind = KG_SHAPE_CAPSULE, .a = {-0.3, 0, 0.1}, .b = {0.2, 0.3, 0}, .radius = 0.15},
     {.kind = KG_SHAPE_HEIGHT_FIELD, .field = m->field},
-    {.kind = KG_SHAPE_MESH, .mesh = m->mesh}};
-  m->shapes.shape_count = SHAPES;
-  memcpy(m->shapes.shapes, shapes, sizeof shapes);
+    {.kind = KG_SHAPE_MESH, .mesh = m->mesh},
+    {.kind = KG_SHAPE_ELLIPSOID, .b = {0.4, 0.2, 0.3}, .orientation = turned},
+    {.kind = KG_SHAPE_CYLINDER, .a = {-0.3, 0, 0.1}, .b = {0.2, 0.3, 0}, .radius = 0.2},
+    {.kind = KG_SHAPE_INTERSECTION, .children = {BALL, 6}},
+    {.kind = KG_SHAPE_SMOOTH_UNION, .children = {BALL, 3}, .radius = 0.5},
+    {.kind = KG_SHAPE_ELLIPSOID, .b = {0.4, 0.2, 0.3}, .place = 1, .ground = 1}};
+  const kg_place place = {.at = {0.1, 0, -0.1},
+                          .turn = kg_quat_exp(kg_vec3_make(-0.3, 0.2, 0.6)),
+                          .velocity = {0.2, -0.1, 0.3},
+                          .spin = {0.5, 1, -0.7}};
+  const kg_ground mat = {.thickness = 0.02, .stiffness = 2e4, .damping = 0.5, .friction = 0.7};
+  (void)kg_scene_add_place(&m->shapes, &place);
+  (void)kg_scene_add_ground(&m->shapes, &mat);
+  for (int k = 0; k < SHAPES; k++) {
+    (void)kg_scene_add(&m->shapes, &shapes[k]);
+  }
   return status;
 }
 

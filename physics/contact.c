@@ -52,13 +52,96 @@ static curve ramp(double u)
   return (curve){s * s / (4.0 * RAMP), s / (2.0 * RAMP)};
 }
 
-kg_normal_law kg_contact_normal(const kg_contact_params *params, double distance, double speed)
+/* (1a) force of the soft layer of the ground and its derivative by Phi */
+static curve soft(const kg_contact_params *p, const kg_ground *g, double phi)
 {
-  if (distance >= params->layer) return (kg_normal_law){0.0, 0.0, 0.0};
-  const curve N = elastic(params, distance);
-  const curve r = ramp(1.0 - params->damping * speed);
-  return (kg_normal_law){N.y * r.y, N.slope * r.y, -params->damping * N.y * r.slope};
+  const double depth = g->thickness + p->layer - phi;
+  if (depth >= p->layer) return (curve){g->stiffness * (depth - 0.5 * p->layer), -g->stiffness};
+  const double unit = g->stiffness / p->layer;
+  return (curve){0.5 * unit * depth * depth, -unit * depth};
 }
+
+double kg_contact_reach(const kg_contact_params *params, const kg_ground *ground)
+{
+  return ground ? params->layer + ground->thickness : params->layer;
+}
+
+double kg_contact_friction(const kg_contact_params *params, const kg_ground *ground)
+{
+  return ground && ground->friction >= 0.0 ? ground->friction : params->friction;
+}
+
+kg_normal_law kg_contact_normal(const kg_contact_params *params, const kg_ground *ground,
+                                double distance, double speed)
+{
+  kg_normal_law law = {0.0, 0.0, 0.0};
+  if (distance < params->layer) {
+    const curve N = elastic(params, distance);
+    const curve r = ramp(1.0 - params->damping * speed);
+    law = (kg_normal_law){N.y * r.y, N.slope * r.y, -params->damping * N.y * r.slope};
+  }
+  if (ground && distance < kg_contact_reach(params, ground)) {
+    const curve S = soft(params, ground, distance);
+    const curve r = ramp(1.0 - ground->damping * speed);
+    law.force += S.y * r.y;
+    law.by_distance += S.slope * r.y;
+    law.by_speed -= ground->damping * S.y * r.slope;
+  }
+  return law;
+}
+
+/* ---- what acts on a point ----------------------------------------------------------------------*/
+
+static kg_contact_site site_of(const kg_scene *scene, const kg_scene_point *at)
+{
+  kg_contact_site site = {
+    .value = at->value, .slope = 1.0, .velocity = at->velocity, .ground = at->ground};
+  if (at->shape < 0) return site;
+  const kg_sdf_shape *shape = &scene->shapes[at->shape];
+  if (shape->place > 0) site.spin = scene->places[shape->place - 1].spin;
+  if (shape->kind == KG_SHAPE_SMOOTH_UNION) {
+    site.slope = kg_vec3_norm(site.value.normal);
+    site.value.normal = kg_vec3_normalized(site.value.normal);
+  }
+  return site;
+}
+
+/* Where grounds differ: the shape with the largest force at rest, else with the nearest layer */
+static kg_scene_point find_strongest(const kg_contact_params *params, const kg_scene *scene,
+                                     kg_vec3 x)
+{
+  kg_scene_point best = {.value = {INFINITY, {0.0, 1.0, 0.0}, {0.0}}, .shape = -1};
+  double most = 0.0, least = INFINITY; /* force; way to the layer while there is none */
+  for (int i = 0; i < scene->shape_count; i++) {
+    const kg_sdf_shape *shape = &scene->shapes[i];
+    const kg_ground *ground = shape->ground > 0 ? &scene->grounds[shape->ground - 1] : NULL;
+    const double reach = kg_contact_reach(params, ground);
+    kg_sdf_value value;
+    if (shape->part ||
+        !kg_scene_shape_distance(scene, i, x, least < 0.0 ? reach : least + reach, &value)) {
+      continue;
+    }
+    const double force = kg_contact_normal(params, ground, value.distance, 0.0).force;
+    const double way = value.distance - reach;
+    if (!(force > most || (most == 0.0 && way < least))) continue;
+    most = force;
+    least = fmin(least, way);
+    best = (kg_scene_point){.value = value, .shape = i, .ground = ground};
+    if (shape->place > 0) {
+      best.velocity = kg_place_velocity(&scene->places[shape->place - 1], x);
+    }
+  }
+  return best;
+}
+
+kg_contact_site kg_contact_find(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x)
+{
+  const kg_scene_point at =
+    scene->ground_count > 0 ? find_strongest(params, scene, x) : kg_scene_nearest(scene, x);
+  return site_of(scene, &at);
+}
+
+/* ---- friction and derivatives ------------------------------------------------------------------*/
 
 /* (5) w(u_t) = g(|u_t| / stick) u_t / |u_t| = factor u_t and its derivative factor 1 - bend u_t u_t' */
 typedef struct slip {
@@ -76,17 +159,21 @@ static slip friction_slip(const kg_contact_params *p, kg_vec3 u_t)
   return (slip){(2.0 - speed * inverse) * inverse, speed > 0.0 ? inverse * inverse / speed : 0.0};
 }
 
-static kg_mat3 hessian_of(const kg_sdf_value *s)
+/* dn/dx of the unit normal: H, and (1 - n n') H / |grad Phi| where the gradient is not a unit vector */
+static kg_mat3 turn_of(const kg_contact_site *s)
 {
-  const double *h = s->hessian;
-  return (kg_mat3){{h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2]}};
+  const double *h = s->value.hessian;
+  const kg_mat3 H = {{h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2]}};
+  if (s->slope == 1.0) return H;
+  const kg_vec3 n = s->value.normal, Hn = kg_mat3_mul_vec(H, n);
+  return kg_mat3_scale(1.0 / s->slope, kg_mat3_add(H, kg_mat3_scale(-1.0, kg_mat3_outer(n, Hn))));
 }
 
-/* What (7) has of the curvature H of the ground: f_n H - push along (H u)' - mu f_n W du_t/dx */
+/* What (7) has of the curvature H = dn/dx of the ground: f_n H - push along (H'u)' - mu f_n W du_t/dx */
 static kg_mat3 by_curvature(const kg_mat3 *H, kg_vec3 n, kg_vec3 u, double speed_n, double normal,
                             double push, kg_vec3 along, const kg_mat3 *dw)
 {
-  const kg_vec3 Hu = kg_mat3_mul_vec(*H, u);
+  const kg_vec3 Hu = kg_mat3_mul_vec_t(*H, u);
   const kg_mat3 ut_x =
     kg_mat3_scale(-1.0, kg_mat3_add(kg_mat3_scale(speed_n, *H), kg_mat3_outer(n, Hu)));
   const kg_mat3 turned =
@@ -103,32 +190,36 @@ static bool is_flat(const kg_sdf_value *s)
   return flat;
 }
 
-/* (6) to (8); f_n = N r with elastic N and ramp r, all at one point */
-static void differentiate(const kg_contact_params *p, const kg_sdf_value *s, kg_vec3 u, curve N,
-                          curve r, double bound, kg_contact_force *out)
+/* (6) to (8); N the normal law, u relative to the shape, all at one point */
+static void differentiate(const kg_contact_params *p, const kg_contact_site *s, kg_vec3 u,
+                          const kg_normal_law *N, double bound, kg_contact_force *out)
 {
-  const kg_vec3 n = s->normal;
+  const kg_vec3 n = s->value.normal;
   const double speed_n = kg_vec3_dot(n, u);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, n);
   const slip w = friction_slip(p, u_t);
-  const double push = p->damping * N.y * r.slope;
+  const double push = -N->by_speed, friction = kg_contact_friction(p, s->ground);
   /* direction in which f grows with f_n: n - mu w(u_t); mu f_n dw/du_t = a 1 - b u_t u_t' */
-  const kg_vec3 along = bound < 0.0 ? kg_vec3_add_scaled(n, -p->friction * w.factor, u_t) : n;
-  const double mu_fn = p->friction * (bound < 0.0 ? out->normal : bound);
+  const kg_vec3 along = bound < 0.0 ? kg_vec3_add_scaled(n, -friction * w.factor, u_t) : n;
+  const double mu_fn = friction * (bound < 0.0 ? out->normal : bound);
   const double a = mu_fn * w.factor, b = mu_fn * w.bend;
   const kg_vec3 column = kg_vec3_add_scaled(kg_vec3_scale(a, n), -push, along);
   out->df_du = kg_mat3_add(kg_mat3_outer(column, n), /* (8); u_t u_t' n = 0 */
                            kg_mat3_outer(kg_vec3_scale(b, u_t), u_t));
-  out->df_dx = kg_mat3_outer(kg_vec3_scale(N.slope * r.y, along), n); /* (7) */
+  out->df_dx = kg_mat3_outer(kg_vec3_scale(N->by_distance * s->slope, along), n); /* (7) */
   for (int k = 0; k < 9; k += 4) {
     out->df_du.m[k] -= a;
   }
-  if (!is_flat(s)) {
-    const kg_mat3 H = hessian_of(s);
+  if (!is_flat(&s->value)) {
+    const kg_mat3 H = turn_of(s);
     const kg_mat3 dw =
       kg_mat3_add(kg_mat3_scale(a, kg_mat3_identity()), kg_mat3_scale(-b, kg_mat3_outer(u_t, u_t)));
     out->df_dx =
       kg_mat3_add(out->df_dx, by_curvature(&H, n, u, speed_n, out->normal, push, along, &dw));
+  }
+  if (kg_vec3_dot(s->spin, s->spin) > 0.0) { /* (8a) the shape's velocity changes along x */
+    const kg_mat3 carried = kg_mat3_mul(out->df_du, kg_mat3_skew(s->spin));
+    out->df_dx = kg_mat3_add(out->df_dx, kg_mat3_scale(-1.0, carried));
   }
 }
 
@@ -136,20 +227,21 @@ bool kg_contact_evaluate_bounded(const kg_contact_params *params, const kg_scene
                                  kg_vec3 u, double bound, bool derivatives, kg_contact_force *out)
 {
   KG_ASSERT(params->layer > 0.0 && params->stick > 0.0 && params->floor_share > 0.0);
-  const kg_sdf_value s = kg_scene_distance(scene, x);
-  *out = (kg_contact_force){.distance = s.distance, .direction = s.normal};
-  if (s.distance >= params->layer) return false;
-  const double speed_n = kg_vec3_dot(s.normal, u);
-  const curve N = elastic(params, s.distance);
-  const curve r = ramp(1.0 - params->damping * speed_n);
-  const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, s.normal);
+  const kg_contact_site s = kg_contact_find(params, scene, x);
+  const kg_vec3 n = s.value.normal;
+  *out = (kg_contact_force){
+    .distance = s.value.distance, .direction = n, .velocity = s.velocity, .ground = s.ground};
+  if (s.value.distance >= kg_contact_reach(params, s.ground)) return false;
+  u = kg_vec3_sub(u, s.velocity);
+  const double speed_n = kg_vec3_dot(n, u);
+  const kg_normal_law N = kg_contact_normal(params, s.ground, s.value.distance, speed_n);
+  const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, n);
   const slip w = friction_slip(params, u_t);
-  out->normal = N.y * r.y;
-  const double mu_fn = params->friction * (bound < 0.0 ? out->normal : bound);
-  out->f =
-    kg_vec3_add_scaled(kg_vec3_scale(out->normal, s.normal), -mu_fn * w.factor, u_t); /* (4) */
+  out->normal = N.force;
+  const double mu_fn = kg_contact_friction(params, s.ground) * (bound < 0.0 ? out->normal : bound);
+  out->f = kg_vec3_add_scaled(kg_vec3_scale(out->normal, n), -mu_fn * w.factor, u_t); /* (4) */
   if (derivatives) {
-    differentiate(params, &s, u, N, r, bound, out);
+    differentiate(params, &s, u, &N, bound, out);
   }
   return true;
 }
@@ -172,6 +264,13 @@ static void elastic_by_params(const kg_contact_params *p, double phi, double by[
   by[2] = 2.0 * p->force / (share * share * share) * below;
 }
 
+/* Derivative of (1a) by the layer */
+static double soft_by_layer(const kg_contact_params *p, const kg_ground *g, double phi)
+{
+  const double share = (g->thickness + p->layer - phi) / p->layer;
+  return g->stiffness * (share >= 1.0 ? 0.5 : share - 0.5 * share * share);
+}
+
 /* Derivative of the factor of (5) by the stick velocity */
 static double slip_by_stick(const kg_contact_params *p, double speed)
 {
@@ -186,20 +285,30 @@ void kg_contact_params_vjp(const kg_contact_params *params, const kg_contact_for
   const kg_contact_params *p = params;
   const kg_contact_force *c = force;
   double *bar = params_bar;
+  u = kg_vec3_sub(u, c->velocity);
   const double speed_n = kg_vec3_dot(c->direction, u);
+  const double friction = kg_contact_friction(p, c->ground);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, c->direction);
-  const curve N = elastic(p, c->distance), r = ramp(1.0 - p->damping * speed_n);
   const double factor = friction_slip(p, u_t).factor;
   const double along = kg_vec3_dot(f_bar, c->direction), across = kg_vec3_dot(f_bar, u_t);
-  const double by_normal = along - p->friction * factor * across;
-  double by[3];
-  elastic_by_params(p, c->distance, by);
-  for (int k = 0; k < 3; k++) {
-    bar[k] += by_normal * r.y * by[k];
+  const double by_normal = along - friction * factor * across;
+  if (c->distance < p->layer) {
+    const curve N = elastic(p, c->distance), r = ramp(1.0 - p->damping * speed_n);
+    double by[3];
+    elastic_by_params(p, c->distance, by);
+    for (int k = 0; k < 3; k++) {
+      bar[k] += by_normal * r.y * by[k];
+    }
+    bar[3] -= by_normal * N.y * r.slope * speed_n;
   }
-  bar[3] -= by_normal * N.y * r.slope * speed_n;
-  bar[4] -= c->normal * factor * across;
-  bar[5] -= c->normal * p->friction * slip_by_stick(p, kg_vec3_norm(u_t)) * across;
+  if (c->ground) {
+    const double r = ramp(1.0 - c->ground->damping * speed_n).y;
+    bar[0] += by_normal * r * soft_by_layer(p, c->ground, c->distance);
+  }
+  if (!(c->ground && c->ground->friction >= 0.0)) {
+    bar[4] -= c->normal * factor * across;
+  }
+  bar[5] -= c->normal * friction * slip_by_stick(p, kg_vec3_norm(u_t)) * across;
 }
 
 bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,

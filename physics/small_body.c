@@ -3,6 +3,7 @@
  * sections 3 and 4. */
 #include "physics/small_problem.h"
 
+#include "physics/contact_law.h"
 #include "physics/kernels/kernels.h"
 
 #include <string.h>
@@ -86,8 +87,9 @@ static void list_group(kg_step *s, int i)
   for (int k = g->first; k < g->first + g->count; k++) {
     const int point = s->order[k];
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, s->def.body->points[point].p));
-    const kg_sdf_value at = kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, x));
-    if (!(at.distance <= s->contact.layer + REACH)) continue;
+    const kg_contact_site at =
+      kg_contact_find(&s->contact, s->def.scene, kg_vec3_add(s->dynamics->origin, x));
+    if (!(at.value.distance <= kg_contact_reach(&s->contact, at.ground) + REACH)) continue;
     if (p->slot_of[i] < 0) {
       take_slot(s, i);
     }
@@ -95,7 +97,7 @@ static void list_group(kg_step *s, int i)
     c->point = point;
     c->slot = p->slot_of[i];
     c->trial = (kg_point_state){x, kg_point_velocity(l, x), p->force[point]};
-    c->normal = at.normal;
+    c->normal = at.value.normal;
   }
 }
 

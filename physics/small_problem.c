@@ -39,12 +39,14 @@ static const double FIRST_STRIDE = 0.5, SMALLEST_STRIDE = 0.005; /* of hardness 
 
 /* The normal force f = N at the distance phi + dt y (f - f0) and speed + y (f - f0). The right side
  * falls with f, so f lies between any trial and its right side. */
-static double local_normal(const kg_step *s, double phi, double speed, double f0, double y)
+static double local_normal(const kg_step *s, const kg_contact_site *at, double speed, double f0,
+                           double y)
 {
   double low = 0.0, high = INFINITY, f = fmax(f0, 0.0);
   for (int k = 0; k < LOCAL_ITERATIONS; k++) {
     const double move = y * (f - f0);
-    const kg_normal_law n = kg_contact_normal(&s->contact, phi + s->dt * move, speed + move);
+    const kg_normal_law n =
+      kg_contact_normal(&s->contact, at->ground, at->value.distance + s->dt * move, speed + move);
     const double g = f - n.force;
     const double below = g < 0.0 ? f : n.force, above = g < 0.0 ? n.force : f;
     low = low > below ? low : below;
@@ -69,11 +71,11 @@ static double local_slip(const kg_contact_params *law, double y, double a)
 static double project(const kg_step *s, kg_candidate *c)
 {
   const kg_contact_params *law = &s->contact;
-  const kg_sdf_value at =
-    kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, c->now.x));
-  const kg_vec3 n = at.normal;
-  const double f0 = kg_vec3_dot(n, c->now.f), speed = kg_vec3_dot(n, c->now.u);
-  const double f = local_normal(s, at.distance, speed, f0, c->yield_n);
+  const kg_contact_site at =
+    kg_contact_find(law, s->def.scene, kg_vec3_add(s->dynamics->origin, c->now.x));
+  const kg_vec3 n = at.value.normal, u = kg_vec3_sub(c->now.u, at.velocity);
+  const double f0 = kg_vec3_dot(n, c->now.f), speed = kg_vec3_dot(n, u);
+  const double f = local_normal(s, &at, speed, f0, c->yield_n);
   const double move = c->yield_n * (f - f0);
   const kg_vec3 f_t = kg_vec3_add_scaled(c->now.f, -f0, n);
   c->touches = f > 0.0;
@@ -82,14 +84,14 @@ static double project(const kg_step *s, kg_candidate *c)
     c->u_law = c->now.u;
     return 0.0;
   }
-  const kg_vec3 u_t = kg_vec3_add_scaled(c->now.u, -speed, n);
+  const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed, n);
   const kg_vec3 free = kg_vec3_add_scaled(u_t, -c->yield_t, f_t); /* without friction */
   const double size = kg_vec3_norm(free);
   const double bound = c->bound < 0.0 || !c->touches ? f : c->bound;
-  const double most = c->yield_t * law->friction * bound;
+  const double most = c->yield_t * kg_contact_friction(law, at.ground) * bound;
   const kg_vec3 slip = kg_vec3_scale(size > 0.0 ? local_slip(law, size, most) / size : 0.0, free);
   const kg_vec3 held = kg_vec3_sub(slip, u_t);
-  c->u_law = kg_vec3_add_scaled(slip, speed + move, n);
+  c->u_law = kg_vec3_add(kg_vec3_add_scaled(slip, speed + move, n), at.velocity);
   c->x_law = kg_vec3_add_scaled(kg_vec3_add_scaled(c->now.x, s->dt * move, n), s->dt, held);
   return s->dt * ((f - f0) * move + kg_vec3_dot(held, held) / c->yield_t);
 }
@@ -352,7 +354,7 @@ static bool solve_hardening(kg_step *s, kg_small_report *report)
 static void move_bound(const kg_step *s, kg_candidate *c, int round)
 {
   const kg_vec3 at = kg_vec3_add(s->dynamics->origin, c->now.x);
-  const kg_vec3 n = kg_scene_distance(s->def.scene, at).normal;
+  const kg_vec3 n = kg_contact_find(&s->contact, s->def.scene, at).value.normal;
   const double change = fmax(kg_vec3_dot(n, c->now.f), 0.0) - c->bound;
   c->gain = round <= 2 ? 1.0 : c->gain * (change * c->change > 0.0 ? 1.5 : 0.5);
   c->change = change;

@@ -97,9 +97,9 @@ bool kg_step_is_far(const kg_step *s, int i, double margin)
   const kg_link *l = &s->dynamics->links[i];
   if (g->count == 0) return true;
   const kg_vec3 centre = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, g->centre));
-  const kg_sdf_value at = kg_scene_distance(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
+  const double way = kg_scene_surface(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
   /* Phi changes by no more than the distance moved */
-  return at.distance > g->radius + s->contact.layer + margin;
+  return way > g->radius + s->contact.layer + margin;
 }
 
 /* Contact list and external forces of the links at their pose and velocity. */

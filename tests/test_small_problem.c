@@ -272,7 +272,7 @@ static void bounded_friction_is_the_law_where_the_bound_is_the_normal_force(void
     const bool touches = kg_contact_evaluate(&params, &scene, x, u, false, &a);
     assert_true(touches == kg_contact_evaluate_bounded(&params, &scene, x, u, a.normal, false, &b));
     assert_at_most(kg_vec3_norm(kg_vec3_sub(a.f, b.f)), 1e-12 * (1.0 + a.normal));
-    assert_close(kg_contact_normal(&params, a.distance, u.y).force, a.normal, 1e-14);
+    assert_close(kg_contact_normal(&params, NULL, a.distance, u.y).force, a.normal, 1e-14);
   }
 }
 
@@ -303,12 +303,12 @@ static void bounded_friction_has_a_convex_potential(void **state)
     const kg_vec3 slope = kg_vec3_scale(0.5 / h, kg_vec3_sub(plus.f, minus.f));
     const kg_vec3 exact = kg_mat3_mul_vec(f.df_du, e);
     assert_at_most(kg_vec3_norm(kg_vec3_sub(slope, exact)), 1e-4 * (1e3 + kg_vec3_norm(exact)));
-    const kg_normal_law n = kg_contact_normal(&params, x.y, u.y);
-    const double by_x = (kg_contact_normal(&params, x.y + 1e-9, u.y).force -
-                         kg_contact_normal(&params, x.y - 1e-9, u.y).force) /
+    const kg_normal_law n = kg_contact_normal(&params, NULL, x.y, u.y);
+    const double by_x = (kg_contact_normal(&params, NULL, x.y + 1e-9, u.y).force -
+                         kg_contact_normal(&params, NULL, x.y - 1e-9, u.y).force) /
                         2e-9;
-    const double by_u = (kg_contact_normal(&params, x.y, u.y + 1e-6).force -
-                         kg_contact_normal(&params, x.y, u.y - 1e-6).force) /
+    const double by_u = (kg_contact_normal(&params, NULL, x.y, u.y + 1e-6).force -
+                         kg_contact_normal(&params, NULL, x.y, u.y - 1e-6).force) /
                         2e-6;
     assert_at_most(fabs(n.by_distance - by_x), 1e-5 * (1.0 + fabs(by_x)));
     assert_at_most(fabs(n.by_speed - by_u), 1e-5 * (1.0 + fabs(by_u)));

@@ -7,6 +7,11 @@
  *   f_n = f_layer * d^2 / (layer * Phi) * ramp(1 - damping * Phi_dot)       for Phi >= floor
  * and its C1 linear continuation below floor = floor_share * layer (inside the ground as well);
  * exactly zero for Phi >= layer; ramp(u) = max(u, 0) smoothed to C1, so never adhesive.
+ * On soft ground (kg_ground: thickness h, stiffness k, damping c_g) the layer is h + layer thick and
+ *   f_n += s * ramp(1 - c_g Phi_dot),  s = k p^2 / (2 layer) for p = h + layer - Phi < layer,
+ *                                      s = k (p - layer / 2) for more:
+ * Phi is the distance from the rigid core, which the first term keeps the point out of.
+ * u, Phi_dot: relative to the shape (kg_place) where it moves.
  * Friction: f_t = -mu f_n g(|u_t| / stick) u_t / |u_t|,  g(s) = 2 s - s^2 for s < 1, else 1.
  * C1 everywhere; the derivation and the choice of law are in docs/theory/contact.md. */
 #ifndef KINEGRAD_CONTACT_H
@@ -39,12 +44,15 @@ typedef struct kg_contact_force {
   double normal;     /* N, >= 0                                               */
   double distance;   /* Phi, m                                                */
   kg_vec3 direction; /* unit normal of the surface                            */
+  kg_vec3 velocity;  /* m/s, of the shape there                               */
+  const kg_ground *ground; /* of the shape, in the scene; NULL: hard          */
   kg_mat3 df_dx;     /* exact derivatives: position, N/m                      */
   kg_mat3 df_du;     /* velocity, N s/m                                       */
 } kg_contact_force;
 
-/* Force on a body point at x that moves at u (m, m/s). False, and *out zero apart from distance
- * and direction, when the point is outside the layer. Derivatives only when asked for. */
+/* Force on a body point at x that moves at u (m, m/s). False when the point is outside the layer, and
+ * *out zero then apart from distance, direction, velocity and ground. Derivatives only when asked
+ * for. With several grounds in the scene the shape that would push hardest at rest acts. */
 KG_API bool kg_contact_evaluate(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
                                 kg_vec3 u, bool derivatives, kg_contact_force *out);
 

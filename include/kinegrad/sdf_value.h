@@ -8,7 +8,7 @@
  * exactly) normal is one of the directions in which Phi grows fastest. */
 typedef struct kg_sdf_value {
   double distance;  /* m                                                   */
-  kg_vec3 normal;   /* unit gradient                                       */
+  kg_vec3 normal;   /* gradient; unit, but shorter in the blend of a smooth union */
   double hessian[6]; /* second derivatives, 1/m: xx yy zz xy xz yz; exact almost everywhere */
 } kg_sdf_value;
 
