@@ -64,8 +64,7 @@ static size_t larger(size_t a, size_t b)
 
 static size_t scratch_of(const kg_physics_kernels *kernels)
 {
-  const size_t plain = larger(kernels->one->scratch, kernels->link_scratch);
-  return kernels->eight ? larger(kernels->eight->scratch, plain) : plain;
+  return larger(kernels->eight->scratch, larger(kernels->one->scratch, kernels->link_scratch));
 }
 
 static kg_model *create_model(const kg_body *body, const kg_physics_kernels *kernels,
@@ -321,18 +320,10 @@ static void run_inverse(kg_dynamics *d, const double *q, const double *v, const 
   clear_link_external(d);
 }
 
-typedef void frame_call(const kg_model *model, double *out, const double *q, const double *x,
-                        const double *y);
-
-static frame_call *inverse_of_one(const kg_physics_kernels *kernels)
-{
-  return kernels->inverse ? kernels->inverse : kernels->one->inverse;
-}
-
 void kg_dynamics_inverse(kg_dynamics *dynamics, double *tau, const double *q, const double *v,
                          const double *a)
 {
-  inverse_of_one(dynamics->kernels)(dynamics->model, tau, q, v, a);
+  kg_inverse_of_one(dynamics->kernels)(dynamics->model, tau, q, v, a);
 }
 
 void kg_dynamics_forward(kg_dynamics *dynamics, double *a, const double *q, const double *v,
@@ -344,149 +335,6 @@ void kg_dynamics_forward(kg_dynamics *dynamics, double *a, const double *q, cons
 void kg_dynamics_mass_solve(kg_dynamics *dynamics, double *x, const double *q)
 {
   dynamics->kernels->one->mass_solve(dynamics->model, x, q, NULL, x);
-}
-
-/* ---- many frames ------------------------------------------------------------------------------*/
-
-/* Eight frames of width numbers; the lanes left over repeat the last frame. */
-static void load_lanes(const kg_dynamics *d, double *lanes, const double *rows, int width,
-                       int frames)
-{
-  const double *row[8];
-  for (int f = 0; f < 8; f++) {
-    row[f] = rows + (size_t)(f < frames ? f : frames - 1) * (size_t)width;
-  }
-  d->kernels->to_lanes(lanes, row, width);
-}
-
-/* Lanes that repeat a frame go nowhere. */
-static void store_lanes(const kg_dynamics *d, double *rows, const double *lanes, int width,
-                        int frames)
-{
-  double *row[8];
-  for (int f = 0; f < 8; f++) {
-    row[f] = f < frames ? rows + (size_t)f * (size_t)width : d->spare;
-  }
-  d->kernels->from_lanes(row, lanes, width);
-}
-
-/* Eight frames where there are no vectors: one at a time. */
-static void run_lanes_singly(kg_dynamics *d, frame_call *one, double *out, const double *q,
-                             const double *x, const double *y)
-{
-  double *own[4] = {d->lanes[0], d->lanes[1], d->lanes[2], d->lanes[3]};
-  const int nq = d->body->nq, nv = d->body->nv;
-  for (int f = 0; f < 8; f++) {
-    for (int k = 0; k < nq; k++) {
-      own[0][k] = q[8 * k + f];
-    }
-    for (int k = 0; k < nv; k++) {
-      own[1][k] = x[8 * k + f];
-      own[2][k] = y[8 * k + f];
-    }
-    one(d->model, own[3], own[0], own[1], own[2]);
-    for (int k = 0; k < nv; k++) {
-      out[8 * k + f] = own[3][k];
-    }
-  }
-}
-
-/* Eight at a time, the last ones singly when they are few. */
-static void run_many(kg_dynamics *d, frame_call *one, frame_call *eight, int count, double *out,
-                     const double *q, const double *x, const double *y)
-{
-  const int nq = d->body->nq, nv = d->body->nv;
-  for (int first = 0; first < count;) {
-    const int left = count - first;
-    const size_t at_q = (size_t)first * (size_t)nq, at_v = (size_t)first * (size_t)nv;
-    if (!eight || left < 3) {
-      one(d->model, out + at_v, q + at_q, x + at_v, y + at_v);
-      first++;
-      continue;
-    }
-    const int frames = left < 8 ? left : 8;
-    load_lanes(d, d->lanes[0], q + at_q, nq, frames);
-    load_lanes(d, d->lanes[1], x + at_v, nv, frames);
-    load_lanes(d, d->lanes[2], y + at_v, nv, frames);
-    eight(d->model, d->lanes[3], d->lanes[0], d->lanes[1], d->lanes[2]);
-    store_lanes(d, out + at_v, d->lanes[3], nv, frames);
-    first += frames;
-  }
-}
-
-void kg_dynamics_inverse_lanes(kg_dynamics *dynamics, double *tau, const double *q, const double *v,
-                               const double *a)
-{
-  kg_dynamics *d = dynamics;
-  if (d->kernels->eight) {
-    d->kernels->eight->inverse(d->model, tau, q, v, a);
-  } else {
-    run_lanes_singly(d, inverse_of_one(d->kernels), tau, q, v, a);
-  }
-}
-
-void kg_dynamics_forward_lanes(kg_dynamics *dynamics, double *a, const double *q, const double *v,
-                               const double *tau)
-{
-  kg_dynamics *d = dynamics;
-  if (d->kernels->eight) {
-    d->kernels->eight->forward(d->model, a, q, v, tau);
-  } else {
-    run_lanes_singly(d, d->kernels->one->forward, a, q, v, tau);
-  }
-}
-
-void kg_dynamics_inverse_many(kg_dynamics *dynamics, int count, double *tau, const double *q,
-                              const double *v, const double *a)
-{
-  const kg_physics_kernels *k = dynamics->kernels;
-  run_many(dynamics, inverse_of_one(k), k->eight ? k->eight->inverse : NULL, count, tau, q, v, a);
-}
-
-void kg_dynamics_forward_many(kg_dynamics *dynamics, int count, double *a, const double *q,
-                              const double *v, const double *tau)
-{
-  const kg_physics_kernels *k = dynamics->kernels;
-  run_many(dynamics, k->one->forward, k->eight ? k->eight->forward : NULL, count, a, q, v, tau);
-}
-
-/* One output of up to eight frames, width numbers a frame, from its place in the lanes. */
-static void store_motion(const kg_dynamics *d, void *out, int first, int frames, int from,
-                         int width)
-{
-  if (out) {
-    store_lanes(d, (double *)out + (size_t)first * (size_t)width, d->motion + 8 * from, width,
-                frames);
-  }
-}
-
-void kg_dynamics_velocity_many(kg_dynamics *dynamics, int count, const double *q, const double *v,
-                               kg_vec3 *p, kg_mat3 *R, kg_vec3 *p_dot, kg_vec3 *w)
-{
-  KG_ASSERT(v || (!p_dot && !w));
-  kg_dynamics *d = dynamics;
-  const int n = d->n, nq = d->body->nq, nv = d->body->nv;
-  const bool moving = p_dot || w;
-  int first = 0;
-  for (; d->kernels->eight && count - first >= 3; first += 8) {
-    const int frames = count - first < 8 ? count - first : 8;
-    load_lanes(d, d->lanes[0], q + (size_t)first * (size_t)nq, nq, frames);
-    if (moving) {
-      load_lanes(d, d->lanes[1], v + (size_t)first * (size_t)nv, nv, frames);
-    }
-    d->kernels->eight->kinematics(d->model, d->motion, d->lanes[0], moving ? d->lanes[1] : NULL,
-                                  NULL);
-    store_motion(d, p, first, frames, 0, 3 * n);
-    store_motion(d, R, first, frames, 3 * n, 9 * n);
-    store_motion(d, p_dot, first, frames, 12 * n, 3 * n);
-    store_motion(d, w, first, frames, 15 * n, 3 * n);
-  }
-  for (; first < count; first++) {
-    const size_t at = (size_t)first * (size_t)n;
-    kg_dynamics_velocity(d, q + (size_t)first * (size_t)nq, v ? v + (size_t)first * (size_t)nv : v,
-                         p ? p + at : p, R ? R + at : R, p_dot ? p_dot + at : p_dot,
-                         w ? w + at : w);
-  }
 }
 
 void kg_dynamics_acceleration(kg_dynamics *dynamics, const double *q, const double *v,

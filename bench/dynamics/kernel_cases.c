@@ -12,6 +12,7 @@
 #include "bench/dynamics/reference.h"
 #include "kinegrad/dense.h"
 #include "kinegrad/dynamics.h"
+#include "kinegrad/dynamics_lanes.h"
 
 /* Which body and how many states: few where the answers are matrices. */
 typedef struct size {

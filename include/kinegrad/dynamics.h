@@ -47,13 +47,6 @@ KG_API void kg_dynamics_forward(kg_dynamics *dynamics, double *a, const double *
 /* x := M(q)^-1 x, x[nv], in O(n): forward dynamics without motion and gravity. */
 KG_API void kg_dynamics_mass_solve(kg_dynamics *dynamics, double *x, const double *q);
 
-/* Eight frames at once, structure of arrays: number k of frame f lies at x[8 * k + f]. Every frame
- * gets the numbers of the plain call, bit for bit. */
-KG_API void kg_dynamics_inverse_lanes(kg_dynamics *dynamics, double *tau, const double *q,
-                                      const double *v, const double *a);
-KG_API void kg_dynamics_forward_lanes(kg_dynamics *dynamics, double *a, const double *q,
-                                      const double *v, const double *tau);
-
 /* count frames, one after the other: q (count, nq), the others (count, nv), row-major. Every frame
  * gets the numbers of the plain call, bit for bit. */
 KG_API void kg_dynamics_inverse_many(kg_dynamics *dynamics, int count, double *tau, const double *q,

@@ -15,12 +15,7 @@ typedef char inverse_rows; /* takes no scratch */
 #include "physics/kernels/wrenches.inc"
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
-#if defined(__GNUC__)
 extern const kg_number_kernels KG_NUMBER_TABLE(8, KG_ISA);
-#define EIGHT &KG_NUMBER_TABLE(8, KG_ISA)
-#else
-#define EIGHT NULL
-#endif
 
 #define KG_PASTE_(a, b) a##b
 #define KG_PASTE(a, b) KG_PASTE_(a, b)
@@ -52,5 +47,5 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .add_rows = add_rows,
   .solve_dense = solve_dense,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
-  .eight = EIGHT,
+  .eight = &KG_NUMBER_TABLE(8, KG_ISA),
 };

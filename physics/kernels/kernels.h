@@ -25,20 +25,43 @@ typedef struct kg_model {
   void *scratch;
 } kg_model;
 
-/* Recursive algorithms for one kind of number: a double, or eight frames at once, [k][8] for number
- * k. See the functions of dynamics.h. */
+/* Where derivatives of inverse dynamics go, arrays as in tree_numbers.inc; a pair or the last may be
+ * NULL. */
+typedef struct kg_lanes_outputs {
+  double *q_low, *q_up, *v_low, *v_up, *mass;
+} kg_lanes_outputs;
+
+/* Where derivatives of forward dynamics go, nv x nv; each may be NULL. */
+typedef struct kg_lanes_dense {
+  double *by_q, *by_v, *by_tau;
+} kg_lanes_dense;
+
+typedef void kg_frame_kernel(const kg_model *model, double *out, const double *q, const double *x,
+                             const double *y);
+
+/* Algorithms for one kind of number: a double, or eight frames at once, [k][8] for number k. See the
+ * functions of dynamics.h and dynamics_lanes.h. */
 typedef struct kg_number_kernels {
-  size_t scratch; /* bytes for each link */
-  void (*inverse)(const kg_model *model, double *tau, const double *q, const double *v,
-                  const double *a);
-  void (*forward)(const kg_model *model, double *a, const double *q, const double *v,
-                  const double *tau);
-  /* a = M^-1 tau; v is not read */
-  void (*mass_solve)(const kg_model *model, double *a, const double *q, const double *v,
-                     const double *tau);
-  /* out: p (n, 3), R (n, 9), and where v is given also p_dot (n, 3), w (n, 3) */
-  void (*kinematics)(const kg_model *model, double *out, const double *q, const double *v,
-                     const double *unused);
+  size_t scratch;                     /* bytes for each link                              */
+  kg_frame_kernel *inverse;           /* (tau; q, v, a)                                   */
+  kg_frame_kernel *forward;           /* (a; q, v, tau)                                   */
+  kg_frame_kernel *mass_solve;        /* a = M^-1 tau (a; q, not read, tau)          */
+  kg_frame_kernel *kinematics;        /* p (n, 3), R (n, 9); with v p_dot, w (n, 3)  */
+  kg_frame_kernel *acceleration;      /* p_ddot (n, 3), alpha (n, 3); (q, v, a)      */
+  kg_frame_kernel *centroid;          /* com, com_dot, L (3 each), I (9); v or NULL  */
+  kg_frame_kernel *centroidal_matrix; /* (6, nv); (q)                           */
+  /* x (3), J (3, nv) or NULL */
+  void (*point)(const kg_model *model, double *x, double *J, const double *q, int segment,
+                const double s[3]);
+  void (*mass_matrix)(const kg_model *model, const kg_tree *tree, double *low, const double *q);
+  void (*factor)(const kg_tree *tree, double *low);
+  void (*factor_solve)(const kg_tree *tree, const double *low, double *x);
+  void (*inverse_derivatives)(const kg_model *model, const kg_tree *tree,
+                              const kg_lanes_outputs *out, const double *q, const double *v,
+                              const double *a);
+  /* a = FD(q, v, tau) */
+  void (*forward_derivatives)(const kg_model *model, const kg_tree *tree, const kg_lanes_dense *out,
+                              const double *q, const double *v, const double *a, const double *tau);
 } kg_number_kernels;
 
 #define KG_NUMBER_TABLE_(number, isa) kg_number_kernels_##number##_##isa
@@ -68,8 +91,7 @@ struct kg_physics_kernels {
   void (*to_lanes)(double *lanes, const double *const row[8], int width);
   void (*from_lanes)(double *const row[8], const double *lanes, int width);
   /* inverse of `one` over vectors; NULL where they are too narrow to gain */
-  void (*inverse)(const kg_model *model, double *tau, const double *q, const double *v,
-                  const double *a);
+  kg_frame_kernel *inverse;
   /* see wrenches.inc */
   void (*add_motion)(double *X, const double *parent, const kg_mat63 *T, const double *Y,
                      int stride);
@@ -80,8 +102,14 @@ struct kg_physics_kernels {
   void (*add_rows)(double *y, const double *C, const double *h, int stride);
   bool (*solve_dense)(double *B, int n, int stride, double *x);
   const kg_number_kernels *one;
-  const kg_number_kernels *eight; /* NULL: this compiler has no vectors */
+  const kg_number_kernels *eight;
 };
+
+/* Inverse dynamics of one frame: over vectors where that gains. */
+static inline kg_frame_kernel *kg_inverse_of_one(const kg_physics_kernels *kernels)
+{
+  return kernels->inverse ? kernels->inverse : kernels->one->inverse;
+}
 
 extern const kg_physics_kernels kg_physics_kernels_base;
 #ifdef KG_DISPATCH

@@ -15,6 +15,9 @@ enum { WIDTH = 1 };
 #elif KG_NUMBER == 2
 typedef double _Complex real;
 enum { WIDTH = 2 };
+#elif KG_NUMBER == 8 && (!defined(__GNUC__) || defined(KG_NO_VECTORS))
+typedef double real; /* one frame after the other */
+enum { WIDTH = 1 };
 #elif KG_NUMBER == 8
 #if defined(__AVX512F__)
 enum { WIDTH = 8 };
@@ -137,6 +140,152 @@ static inline vec3 mul_constant(const mat3 *M, const double a[3])
   const real *m = M->m;
   return (vec3){m[0] * a[0] + m[1] * a[1] + m[2] * a[2], m[3] * a[0] + m[4] * a[1] + m[5] * a[2],
                 m[6] * a[0] + m[7] * a[1] + m[8] * a[2]};
+}
+
+/* s a for a number of each frame */
+static inline vec3 times(real s, vec3 a)
+{
+  return (vec3){s * a.x, s * a.y, s * a.z};
+}
+
+static inline vec3 vec3_zero(void)
+{
+  return (vec3){number(0.0), number(0.0), number(0.0)};
+}
+
+/* A B */
+static inline mat3 mat_mul(const mat3 *A, const mat3 *B)
+{
+  mat3 C;
+  for (int k = 0; k < 9; k++) {
+    const real *a = A->m + k / 3 * 3, *b = B->m + k % 3;
+    C.m[k] = a[0] * b[0] + a[1] * b[3] + a[2] * b[6];
+  }
+  return C;
+}
+
+/* A' B */
+static inline mat3 mat_tmul(const mat3 *A, const mat3 *B)
+{
+  mat3 C;
+  for (int k = 0; k < 9; k++) {
+    const real *a = A->m + k / 3, *b = B->m + k % 3;
+    C.m[k] = a[0] * b[0] + a[3] * b[3] + a[6] * b[6];
+  }
+  return C;
+}
+
+static inline mat3 mat_add(const mat3 *A, const mat3 *B)
+{
+  mat3 C;
+  for (int k = 0; k < 9; k++) {
+    C.m[k] = A->m[k] + B->m[k];
+  }
+  return C;
+}
+
+static inline mat3 mat_sub(const mat3 *A, const mat3 *B)
+{
+  mat3 C;
+  for (int k = 0; k < 9; k++) {
+    C.m[k] = A->m[k] - B->m[k];
+  }
+  return C;
+}
+
+static inline mat3 mat_times(real s, const mat3 *A)
+{
+  mat3 C;
+  for (int k = 0; k < 9; k++) {
+    C.m[k] = s * A->m[k];
+  }
+  return C;
+}
+
+static inline vec3 negative(vec3 a)
+{
+  return (vec3){-a.x, -a.y, -a.z};
+}
+
+static inline mat3 mat_negative(const mat3 *A)
+{
+  mat3 C;
+  for (int k = 0; k < 9; k++) {
+    C.m[k] = -A->m[k];
+  }
+  return C;
+}
+
+static inline mat3 mat_zero(void)
+{
+  return (mat3){{number(0.0), number(0.0), number(0.0), number(0.0), number(0.0), number(0.0),
+                 number(0.0), number(0.0), number(0.0)}};
+}
+
+/* [a] B: every column crossed from the left */
+static inline mat3 cross_mat(vec3 a, const mat3 *B)
+{
+  const real *b = B->m;
+  return (mat3){{a.y * b[6] - a.z * b[3], a.y * b[7] - a.z * b[4], a.y * b[8] - a.z * b[5],
+                 a.z * b[0] - a.x * b[6], a.z * b[1] - a.x * b[7], a.z * b[2] - a.x * b[8],
+                 a.x * b[3] - a.y * b[0], a.x * b[4] - a.y * b[1], a.x * b[5] - a.y * b[2]}};
+}
+
+/* B [a] */
+static inline mat3 mat_cross(const mat3 *B, vec3 a)
+{
+  const real *b = B->m;
+  return (mat3){{b[1] * a.z - b[2] * a.y, b[2] * a.x - b[0] * a.z, b[0] * a.y - b[1] * a.x,
+                 b[4] * a.z - b[5] * a.y, b[5] * a.x - b[3] * a.z, b[3] * a.y - b[4] * a.x,
+                 b[7] * a.z - b[8] * a.y, b[8] * a.x - b[6] * a.z, b[6] * a.y - b[7] * a.x}};
+}
+
+/* S B */
+static inline mat3 sym_mat(const sym3 *S, const mat3 *B)
+{
+  mat3 C;
+  for (int j = 0; j < 3; j++) {
+    const vec3 c = sym_mul(S, (vec3){B->m[j], B->m[3 + j], B->m[6 + j]});
+    C.m[j] = c.x;
+    C.m[3 + j] = c.y;
+    C.m[6 + j] = c.z;
+  }
+  return C;
+}
+
+static inline sym3 sym_add(const sym3 *a, const sym3 *b)
+{
+  return (sym3){a->xx + b->xx, a->yy + b->yy, a->zz + b->zz,
+                a->xy + b->xy, a->xz + b->xz, a->yz + b->yz};
+}
+
+static inline mat3 full(const sym3 *S)
+{
+  return (mat3){{S->xx, S->xy, S->xz, S->xy, S->yy, S->yz, S->xz, S->yz, S->zz}};
+}
+
+/* Block k of an array of 3x3 blocks, or its transpose. */
+static inline mat3 load_block(const double *array, int k)
+{
+  mat3 A;
+  for (int e = 0; e < 9; e++) {
+    A.m[e] = load(array, 9 * k + e);
+  }
+  return A;
+}
+
+static inline void store_block(double *array, int k, const mat3 *A)
+{
+  for (int e = 0; e < 9; e++) {
+    store(array, 9 * k + e, A->m[e]);
+  }
+}
+
+static inline void store_transposed(double *array, int k, const mat3 *A)
+{
+  for (int e = 0; e < 9; e++) {
+    store(array, 9 * k + e, A->m[e % 3 * 3 + e / 3]);
+  }
 }
 
 /* Rotation matrix of the unit quaternion at number k of an array. */
