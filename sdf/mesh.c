@@ -12,7 +12,9 @@
 #include "kinegrad/mesh.h"
 
 #include "sdf/bvh.h"
+#include "sdf/crossings.h"
 #include "sdf/feature.h"
+#include "sdf/mesh_create.h"
 #include "sdf/topology.h"
 
 #include <string.h>
@@ -459,25 +461,24 @@ static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
   return true;
 }
 
-kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
-                         const int *triangles, int triangle_count, kg_mesh_report *report,
-                         const kg_allocator *allocator, kg_error *error)
+kg_status mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
+                      const int *triangles, int triangle_count, bool search_crossings,
+                      kg_mesh_report *report, const kg_allocator *allocator, kg_error *error)
 {
-  KG_ASSERT(mesh && vertex_count >= 0 && triangle_count >= 0);
   *mesh = NULL;
   kg_arena arena, scratch;
   kg_arena_init(&arena, allocator);
   kg_arena_init(&scratch, allocator);
-  kg_mesh_report unused;
   topology topo;
   kg_status status = topology_build(&topo, vertices, vertex_count, triangles, triangle_count,
-                                    report ? report : &unused, &scratch, error);
+                                    report, &scratch, error);
   if (status == KG_OK) {
     kg_mesh *built = KG_ARENA_ARRAY(&arena, kg_mesh, 1);
     if (built) {
       built->arena = arena;
     }
     if (built && fill_mesh(built, &topo, &scratch)) {
+      if (search_crossings) crossings_describe(&topo, &built->tree, report);
       *mesh = built;
     } else {
       status = kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
@@ -490,6 +491,16 @@ kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_cou
   }
   kg_arena_release(&scratch);
   return status;
+}
+
+kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
+                         const int *triangles, int triangle_count, kg_mesh_report *report,
+                         const kg_allocator *allocator, kg_error *error)
+{
+  KG_ASSERT(mesh && vertex_count >= 0 && triangle_count >= 0);
+  kg_mesh_report unused;
+  return mesh_create(mesh, vertices, vertex_count, triangles, triangle_count, false,
+                     report ? report : &unused, allocator, error);
 }
 
 void kg_mesh_destroy(kg_mesh *mesh)

@@ -2,14 +2,19 @@
  *
  * Faces come through an importer of our own instead of one of OpenMesh's meshes: its half-edge
  * structure cannot hold what is not manifold and drops such faces, while we want to count them.
- * OpenMesh reports success for files that end early or name vertices that do not exist, so the
- * number of faces is compared with what the file announces or, in OBJ, holds.
+ * OpenMesh reports success for files that end early or name vertices that do not exist and never
+ * says where; sdf/check.h looks at every value first, and what its readers then deliver is compared
+ * with what the file holds.
  *
  * Coordinates arrive in single precision, whatever the file holds: 6e-8 of their size.
  * Its PLY reader keeps its state in one object: read meshes from one thread at a time.
  * Its readers parse numbers in the program's locale; a program that calls setlocale must keep
  * LC_NUMERIC at "C". Its messages are switched off, and stay off, in its two log streams. */
 #include "kinegrad/mesh.h"
+
+#include "sdf/check.h"
+#include "sdf/mesh_create.h"
+#include "sdf/polygon.h"
 
 #include <OpenMesh/Core/IO/IOManager.hh>
 #include <OpenMesh/Core/IO/importer/BaseImporter.hh>
@@ -18,12 +23,9 @@
 #include <algorithm>
 #include <cctype>
 #include <climits>
-#include <cstdint>
 #include <cstdio>
-#include <cstdlib>
 #include <exception>
 #include <fstream>
-#include <iterator>
 #include <new>
 #include <sstream>
 #include <string>
@@ -51,8 +53,8 @@ public:
   }
 
   std::vector<kg_vec3> vertices;
-  std::vector<int> triangles;
-  size_t faces = 0;
+  std::vector<int> corners;     /* of all faces, one after the other */
+  std::vector<size_t> face_end; /* in corners                        */
 
   VertexHandle add_vertex(const OpenMesh::Vec3f &p) override
   {
@@ -73,18 +75,14 @@ public:
     }
   }
 
-  /* a fan from the first corner: right for convex polygons, the only ones that are well defined */
-  FaceHandle add_face(const VHandles &corners) override
+  FaceHandle add_face(const VHandles &face) override
   {
-    faces++;
-    check(3 * faces);
-    for (size_t k = 2; k < corners.size(); k++) {
-      for (const size_t at : {size_t(0), k - 1, k}) {
-        triangles.push_back(corners[at].idx());
-      }
-      check(triangles.size() / 3);
+    for (const VertexHandle &v : face) {
+      corners.push_back(v.idx());
     }
-    return FaceHandle(int(faces) - 1);
+    check(corners.size());
+    face_end.push_back(corners.size());
+    return FaceHandle(int(face_end.size()) - 1);
   }
 
   size_t n_vertices() const override
@@ -93,7 +91,7 @@ public:
   }
   size_t n_faces() const override
   {
-    return faces;
+    return face_end.size();
   }
   size_t n_edges() const override
   {
@@ -254,213 +252,101 @@ std::string whole_file(const char *path)
   return content.str();
 }
 
-/* What the file says it has; -1 where the format does not tell. */
-struct counts {
-  long long vertices = -1, faces = -1;
-};
-
-counts announced_obj(const std::string &content)
+kg_status check(mesh_file *file, const std::string &extension, kg_error *error)
 {
-  std::istringstream lines(content);
-  counts out = {0, 0};
-  for (std::string line; std::getline(lines, line);) {
-    std::istringstream words(line);
-    std::string word;
-    words >> word;
-    out.vertices += word == "v";
-    out.faces += word == "f";
-  }
-  return out;
+  if (extension == "obj") return check_obj(file, error);
+  if (extension == "off") return check_off(file, error);
+  if (extension == "ply") return check_ply(file, error);
+  return check_stl(file, error);
 }
 
-/* OFF, then the counts of vertices, faces and edges: on one line or two, comments between */
-counts announced_off(const std::string &content)
+void compare(const char *what, long long expected, size_t found)
 {
-  std::istringstream lines(content);
-  std::string text, line;
-  while (std::getline(lines, line) && text.size() < 256) {
-    text += line.substr(0, line.find('#')) + ' ';
-  }
-  std::istringstream words(text);
-  std::string magic;
-  counts out;
-  if (text.find("BINARY") != std::string::npos) return out;
-  words >> magic >> out.vertices >> out.faces;
-  if (!words || out.vertices < 0 || out.faces < 0 || std::max(out.vertices, out.faces) > INT_MAX) {
-    throw refusal{KG_ERR_FORMAT, "the off file does not begin with its counts"};
-  }
-  return out;
+  if (expected < 0 || static_cast<unsigned long long>(expected) == found) return;
+  throw refusal{KG_ERR_FORMAT, "of " + std::to_string(expected) + " " + what + " " +
+                                 std::to_string(found) + " could be read"};
 }
 
-bool is_ply_type(const std::string &type)
-{
-  const char *const types[] = {"char",  "uchar",  "short",   "ushort", "int",   "uint",
-                               "float", "double", "int8",    "uint8",  "int16", "uint16",
-                               "int32", "uint32", "float32", "float64"};
-  return std::find(std::begin(types), std::end(types), type) != std::end(types);
-}
-
-/* OpenMesh makes room for any length it reads */
-bool is_short_ply_type(const std::string &type)
-{
-  return type.find("char") != std::string::npos || type.find("short") != std::string::npos ||
-         type == "int8" || type == "uint8" || type == "int16" || type == "uint16";
-}
-
-/* One line of a PLY header after the first. OpenMesh's reader trusts what is checked here. */
-void check_ply_line(const std::vector<std::string> &word, counts &out, std::string &element)
-{
-  const size_t n = word.size();
-  const refusal bad = {KG_ERR_FORMAT, "the ply header has a line that is not of its format"};
-  if (n == 3 && word[0] == "format" && word[2] == "1.0" && element.empty() &&
-      (word[1] == "ascii" || word[1] == "binary_little_endian" || word[1] == "binary_big_endian")) {
-    return;
-  }
-  if (n == 3 && word[0] == "element") {
-    char *end;
-    const long long count = std::strtoll(word[2].c_str(), &end, 10);
-    const bool vertex = word[1] == "vertex", face = word[1] == "face";
-    /* vertices first, then faces: a second list of either would be mixed with the first */
-    if (*end != '\0' || count < 0 || count > INT_MAX || (vertex && !element.empty()) ||
-        (face && element != "vertex") || (!vertex && element.empty())) {
-      throw bad;
-    }
-    if (vertex) out.vertices = count;
-    if (face) out.faces = count;
-    element = word[1];
-    return;
-  }
-  if (element.empty() || word[0] != "property") throw bad;
-  if (n == 3 && is_ply_type(word[1])) return;
-  if (n != 5 || word[1] != "list" || !is_ply_type(word[2]) || !is_ply_type(word[3])) throw bad;
-  if (!is_short_ply_type(word[2])) {
-    throw refusal{KG_ERR_UNSUPPORTED, "lists whose length takes more than 16 bits are not read"};
-  }
-}
-
-counts announced_ply(const std::string &content)
-{
-  std::istringstream lines(content);
-  std::string line, element;
-  counts out;
-  bool format = false;
-  std::getline(lines, line);
-  if (line != "ply" && line != "ply\r") throw refusal{KG_ERR_FORMAT, "not a ply file"};
-  while (std::getline(lines, line)) {
-    std::istringstream words(line);
-    std::vector<std::string> word;
-    for (std::string w; words >> w;) {
-      word.push_back(w);
-    }
-    if (word.size() == 1 && word[0] == "end_header") break;
-    if (word.empty() || word[0] == "comment" || word[0] == "obj_info") continue;
-    if (!format && word[0] != "format") break; /* it comes first: nothing may stand before it */
-    format = true;
-    check_ply_line(word, out, element);
-  }
-  if (!lines || out.faces < 0) throw refusal{KG_ERR_FORMAT, "the ply header is not complete"};
-  return out;
-}
-
-/* Vertices are repeated in the file and merged by the reader: only faces can be compared. */
-counts announced_stl(const std::string &content)
-{
-  const size_t header = 84, facet = 50;
-  counts out;
-  if (content.size() >= header) {
-    uint32_t count = 0; /* little-endian */
-    for (size_t k = 4; k-- > 0;) {
-      count = count * 256u + static_cast<unsigned char>(content[80 + k]);
-    }
-    if ((content.size() - header) / facet == count) {
-      out.faces = count; /* binary */
-      return out;
-    }
-  }
-  if (content.compare(0, 5, "solid") != 0) {
-    throw refusal{KG_ERR_FORMAT, "neither a text STL nor a binary one of the length it announces"};
-  }
-  if (content.find("endsolid") == std::string::npos) {
-    throw refusal{KG_ERR_FORMAT, "the text STL ends without endsolid"};
-  }
-  out.faces = 0;
-  for (size_t at = content.find("endfacet"); at != std::string::npos;
-       at = content.find("endfacet", at + 8)) {
-    out.faces++;
-  }
-  return out;
-}
-
-counts announced(const std::string &content, const std::string &extension)
-{
-  if (extension == "obj") return announced_obj(content);
-  if (extension == "off") return announced_off(content);
-  if (extension == "ply") return announced_ply(content);
-  return announced_stl(content);
-}
-
-void compare(const char *what, long long announced, size_t found)
-{
-  if (announced < 0 || static_cast<unsigned long long>(announced) == found) return;
-  throw refusal{KG_ERR_FORMAT, "of " + std::to_string(announced) + " " + what + " " +
-                                 std::to_string(found) +
-                                 " could be read: a damaged line, or a file cut short"};
-}
-
-/* Text OFF for OpenMesh's reader, which takes the words of a comment for numbers, reads zeros where
- * the file ends early and believes any number of corners. One vertex or face a line, as it expects. */
-std::string checked_off(const std::string &content, const counts &expected)
-{
-  std::istringstream lines(content);
-  std::string out;
-  long long left = expected.vertices + expected.faces; /* lines to come after the counts */
-  int header_words = 4;                                /* OFF and three counts           */
-  for (std::string line; std::getline(lines, line);) {
-    line.resize(std::min(line.size(), line.find('#')));
-    std::istringstream words(line);
-    std::vector<std::string> word;
-    for (std::string w; words >> w;) {
-      word.push_back(w);
-    }
-    if (word.empty()) continue;
-    out += line + '\n';
-    if (header_words > 0) {
-      header_words -= int(word.size());
-      continue;
-    }
-    const bool face = left <= expected.faces && left > 0;
-    if (face && std::strtoull(word[0].c_str(), nullptr, 10) >= word.size()) {
-      throw refusal{KG_ERR_FORMAT, "a face has fewer corners than it announces: " + line};
-    }
-    left--;
-  }
-  if (left > 0) {
-    throw refusal{KG_ERR_FORMAT, "the file ends " + std::to_string(left) + " lines too early"};
-  }
-  return out;
-}
-
-void read_soup(soup_importer &soup, const char *path, const std::string &content,
+void read_soup(soup_importer &soup, const mesh_file &file, const std::string &content,
                const std::string &extension)
 {
-  const counts expected = announced(content, extension);
+  if (file.faces == 0) throw refusal{KG_ERR_FORMAT, "the file holds no faces"};
   omerr().disable();
   omlog().disable();
   omout().disable();
   OpenMesh::IO::Options options;
-  bool read;
-  if (extension == "off" && expected.faces >= 0) {
-    std::istringstream plain(checked_off(content, expected));
-    read = OpenMesh::IO::IOManager().read(plain, ".off", soup, options);
-  } else {
-    read = OpenMesh::IO::IOManager().read(path, soup, options);
-  }
-  if (!read) {
+  if (file.binary) options += OpenMesh::IO::Options::Binary;
+  std::istringstream stream(file.plain_size > 0 ? std::string(file.plain, file.plain_size)
+                                                : content);
+  if (!OpenMesh::IO::IOManager().read(stream, "." + extension, soup, options)) {
     throw refusal{KG_ERR_FORMAT, "the file is not a readable " + extension + " mesh"};
   }
-  compare("vertices", expected.vertices, soup.vertices.size());
-  compare("faces", expected.faces, soup.faces);
-  if (soup.faces == 0) throw refusal{KG_ERR_FORMAT, "the file holds no faces"};
+  compare("vertices", file.vertices, soup.vertices.size());
+  compare("faces", file.faces, soup.face_end.size());
+}
+
+/* what was met while cutting polygons */
+struct odd_polygons {
+  int bent = 0, tangled = 0;
+  double most_bent = 0.0;
+  kg_vec3 bent_at{}, tangled_at{};
+
+  void add(const polygon_cut &cut, const kg_vec3 &where)
+  {
+    if (cut.too_long) {
+      throw refusal{KG_ERR_UNSUPPORTED, "a polygon that is not convex has more than " +
+                                          std::to_string(POLYGON_MOST_CONCAVE) + " corners"};
+    }
+    if (cut.bent > 0.01 * cut.size && bent++ == 0) bent_at = where;
+    if (cut.tangled && tangled++ == 0) tangled_at = where;
+    most_bent = std::max(most_bent, cut.bent);
+  }
+
+  void describe(kg_mesh_report *report) const
+  {
+    report->bent = bent;
+    report->tangled = tangled;
+    if (bent > 0) {
+      report_say(
+        report,
+        "bent: %d polygons are not flat, by up to %.3g m, the first at (%.4g, %.4g, %.4g); "
+        "the surface there depends on how they are cut into triangles\n",
+        bent, most_bent, bent_at.x, bent_at.y, bent_at.z);
+    }
+    if (tangled > 0) {
+      report_say(report,
+                 "tangled: the outlines of %d polygons cross themselves, the first at (%.4g, %.4g, "
+                 "%.4g); their triangles overlap\n",
+                 tangled, tangled_at.x, tangled_at.y, tangled_at.z);
+    }
+  }
+};
+
+std::vector<int> cut_polygons(const soup_importer &soup, odd_polygons &odd)
+{
+  std::vector<int> triangles, local, work;
+  std::vector<kg_vec3> places;
+  size_t begin = 0;
+  for (const size_t end : soup.face_end) {
+    const size_t n = end - begin;
+    if (n < 3) throw refusal{KG_ERR_FORMAT, "a face has fewer than three corners"};
+    places.clear();
+    for (size_t k = begin; k < end; k++) {
+      const int v = soup.corners[k];
+      if (v < 0 || size_t(v) >= soup.vertices.size()) {
+        throw refusal{KG_ERR_FORMAT, "a face uses a vertex that there is not"};
+      }
+      places.push_back(soup.vertices[size_t(v)]);
+    }
+    local.resize(3 * (n - 2));
+    work.resize(n);
+    odd.add(polygon_triangles(local.data(), work.data(), places.data(), int(n)), places[0]);
+    for (const int k : local) {
+      triangles.push_back(soup.corners[begin + size_t(k)]);
+    }
+    begin = end;
+  }
+  return triangles;
 }
 
 kg_status build(kg_mesh **mesh, soup_importer &soup, const char *path, double unit_m,
@@ -469,13 +355,42 @@ kg_status build(kg_mesh **mesh, soup_importer &soup, const char *path, double un
   for (kg_vec3 &p : soup.vertices) {
     p = kg_vec3_scale(unit_m, p);
   }
-  const kg_status status =
-    kg_mesh_create(mesh, soup.vertices.data(), int(soup.vertices.size()), soup.triangles.data(),
-                   int(soup.triangles.size() / 3), report, allocator, error);
+  odd_polygons odd;
+  const std::vector<int> triangles = cut_polygons(soup, odd);
+  if (triangles.size() / 3 > size_t(INT_MAX / 4)) {
+    throw refusal{KG_ERR_UNSUPPORTED, "the mesh has too many triangles"};
+  }
+  kg_mesh_report unused;
+  const kg_status status = mesh_create(
+    mesh, soup.vertices.data(), int(soup.vertices.size()), triangles.data(),
+    int(triangles.size() / 3), report != nullptr, report ? report : &unused, allocator, error);
+  if (status == KG_OK && report) odd.describe(report);
   if (status != KG_OK && error) { /* the builder does not know the file */
     std::snprintf(error->path, sizeof error->path, "%s", path);
   }
   return status;
+}
+
+kg_status read(kg_mesh **mesh, const char *path, double unit_m, kg_mesh_report *report,
+               const kg_allocator *allocator, kg_error *error)
+{
+  const std::string extension = lower_extension(path);
+  if (extension != "obj" && extension != "ply" && extension != "off" && extension != "stl") {
+    throw refusal{KG_ERR_FORMAT,
+                  "the extension \"" + extension + "\" is none of obj, ply, off and stl"};
+  }
+  const std::string content = whole_file(path);
+  std::string plain(CHECK_ROOM(content.size()), ' ');
+  mesh_file file = {};
+  file.path = path;
+  file.content = content.data();
+  file.size = content.size();
+  file.plain = &plain[0];
+  const kg_status status = check(&file, extension, error);
+  if (status != KG_OK) return status;
+  soup_importer soup(std::min(content.size(), size_t(INT_MAX / 4)));
+  read_soup(soup, file, content, extension);
+  return build(mesh, soup, path, unit_m, report, allocator, error);
 }
 
 } // namespace
@@ -487,15 +402,7 @@ extern "C" kg_status kg_mesh_read(kg_mesh **mesh, const char *path, double unit_
   KG_ASSERT(mesh && path && unit_m > 0.0);
   *mesh = nullptr;
   try {
-    const std::string extension = lower_extension(path);
-    if (extension != "obj" && extension != "ply" && extension != "off" && extension != "stl") {
-      throw refusal{KG_ERR_FORMAT,
-                    "the extension \"" + extension + "\" is none of obj, ply, off and stl"};
-    }
-    const std::string content = whole_file(path);
-    soup_importer soup(std::min(content.size(), size_t(INT_MAX / 4)));
-    read_soup(soup, path, content, extension);
-    return build(mesh, soup, path, unit_m, report, allocator, error);
+    return read(mesh, path, unit_m, report, allocator, error);
   } catch (const refusal &why) {
     return kg_fail(error, why.status, path, 0, 0, "%s", why.text.c_str());
   } catch (const std::bad_alloc &) {

@@ -83,6 +83,15 @@ static sorted_face rotate_face(const int v[3], int index)
   return (sorted_face){{v[k], v[(k + 1) % 3], v[(k + 2) % 3]}, index};
 }
 
+static kg_vec3 middle(const topology *topo, const int *v, int count)
+{
+  kg_vec3 sum = {0.0, 0.0, 0.0};
+  for (int k = 0; k < count; k++) {
+    sum = kg_vec3_add_scaled(sum, 1.0 / count, topo->vertices[v[k]]);
+  }
+  return sum;
+}
+
 /* Faces with three different corners, each once, in the order given. */
 static bool collect_faces(topology *out, const int *merged, const int *triangles, int count,
                           kg_mesh_report *report, kg_arena *arena)
@@ -98,14 +107,14 @@ static bool collect_faces(topology *out, const int *merged, const int *triangles
     const int v[3] = {merged[t[0]], merged[t[1]], merged[t[2]]};
     sorted[i] = rotate_face(v, i);
     dropped[i] = v[0] == v[1] || v[1] == v[2] || v[2] == v[0];
-    report->degenerate += dropped[i];
+    if (dropped[i] && report->degenerate++ == 0) out->degenerate_at = out->vertices[v[0]];
   }
   qsort(sorted, (size_t)count, sizeof *sorted, compare_faces);
   for (int k = 1; k < count; k++) {
     const bool same = memcmp(sorted[k].v, sorted[k - 1].v, sizeof sorted[k].v) == 0;
     if (same && !dropped[sorted[k].index]) {
       dropped[sorted[k].index] = true;
-      report->duplicates++;
+      if (report->duplicates++ == 0) out->duplicate_at = middle(out, sorted[k].v, 3);
     }
   }
   out->face_count = 0;
@@ -138,6 +147,36 @@ static int compare_edges(const void *left, const void *right)
   return (a->side > b->side) - (a->side < b->side);
 }
 
+/* an edge with its first half, how many there are and how many of them run from low to high */
+static void count_edge(topology *out, kg_mesh_report *report, const half_edge *half, int uses,
+                       int forward)
+{
+  const int ends[2] = {half->low, half->high};
+  report->boundary_edges += uses == 1;
+  if (uses > 2 && report->non_manifold_edges++ == 0) out->non_manifold_at = middle(out, ends, 2);
+  if (uses == 2 && forward != 1 && report->inconsistent_edges++ == 0) {
+    out->inconsistent_at = middle(out, ends, 2);
+  }
+}
+
+static bool collect_boundary(topology *out, const half_edge *halves, size_t count, int edges,
+                             kg_arena *arena)
+{
+  out->boundary = kg_arena_alloc(arena, (size_t)edges, sizeof *out->boundary);
+  if (!out->boundary) return false;
+  for (size_t k = 0; k < count; k++) {
+    const half_edge *h = &halves[k];
+    const bool alone = (k == 0 || h[-1].low != h->low || h[-1].high != h->high) &&
+                       (k + 1 == count || h[1].low != h->low || h[1].high != h->high);
+    if (alone) {
+      int *edge = out->boundary[out->boundary_count++];
+      edge[0] = h->forward ? h->low : h->high;
+      edge[1] = h->forward ? h->high : h->low;
+    }
+  }
+  return true;
+}
+
 static bool number_edges(topology *out, kg_mesh_report *report, kg_arena *arena)
 {
   const size_t count = 3 * (size_t)out->face_count;
@@ -161,15 +200,13 @@ static bool number_edges(topology *out, kg_mesh_report *report, kg_arena *arena)
       out->edge[halves[end].face][halves[end].side] = out->edge_count;
     }
     const int uses = (int)(end - k);
-    report->boundary_edges += uses == 1;
-    report->non_manifold_edges += uses > 2;
-    report->inconsistent_edges += uses == 2 && forward != 1;
+    count_edge(out, report, &halves[k], uses, forward);
     balanced = balanced && 2 * forward == uses;
     out->edge_count++;
   }
   /* every edge walked as often one way as the other: the faces enclose a volume */
   report->closed = out->is_closed = balanced;
-  return true;
+  return collect_boundary(out, halves, count, report->boundary_edges, arena);
 }
 
 /* ---- shape -------------------------------------------------------------------------------------*/
@@ -214,7 +251,7 @@ static void remove_slivers(topology *topo, kg_mesh_report *report)
   int kept = 0;
   for (int i = 0; i < topo->face_count; i++) {
     if (is_sliver(topo, i)) {
-      report->degenerate++;
+      if (report->degenerate++ == 0) topo->degenerate_at = middle(topo, topo->corner[i], 3);
       continue;
     }
     memmove(topo->corner[kept], topo->corner[i], sizeof *topo->corner);
@@ -227,7 +264,7 @@ static void remove_slivers(topology *topo, kg_mesh_report *report)
 
 /* ---- report ------------------------------------------------------------------------------------*/
 
-static void KG_PRINTF(2, 3) say(kg_mesh_report *report, const char *format, ...)
+void report_say(kg_mesh_report *report, const char *format, ...)
 {
   const size_t used = strlen(report->text);
   va_list args;
@@ -236,32 +273,35 @@ static void KG_PRINTF(2, 3) say(kg_mesh_report *report, const char *format, ...)
   va_end(args);
 }
 
-static void describe(kg_mesh_report *report)
+static void describe(const topology *topo, kg_mesh_report *report)
 {
+  kg_vec3 at = topo->degenerate_at;
   if (report->degenerate > 0) {
-    say(report, "%d triangles without area were removed\n", report->degenerate);
+    report_say(report, "%d triangles without area were removed, the first at (%.4g, %.4g, %.4g)\n",
+               report->degenerate, at.x, at.y, at.z);
   }
+  at = topo->duplicate_at;
   if (report->duplicates > 0) {
-    say(report, "%d repeated triangles were removed\n", report->duplicates);
+    report_say(report, "%d repeated triangles were removed, the first at (%.4g, %.4g, %.4g)\n",
+               report->duplicates, at.x, at.y, at.z);
   }
-  if (report->boundary_edges > 0) {
-    say(report,
-        "open: %d edges belong to one triangle only; such a mesh has no inside, and the sign tells "
-        "the side of the nearest triangle\n",
-        report->boundary_edges);
-  }
+  at = topo->non_manifold_at;
   if (report->non_manifold_edges > 0) {
-    say(report, "not manifold: %d edges belong to more than two triangles%s\n",
-        report->non_manifold_edges, report->closed ? "" : "; the sign near them may be wrong");
+    report_say(report,
+               "not manifold: %d edges belong to more than two triangles, the first at (%.4g, "
+               "%.4g, %.4g)%s\n",
+               report->non_manifold_edges, at.x, at.y, at.z,
+               report->closed ? "" : "; the sign near them may be wrong");
   }
+  at = topo->inconsistent_at;
   if (report->inconsistent_edges > 0) {
-    say(report,
-        "inconsistent: at %d edges the two triangles face opposite ways; the sign near them may be "
-        "wrong\n",
-        report->inconsistent_edges);
+    report_say(report,
+               "inconsistent: at %d edges the two triangles face opposite ways, the first at "
+               "(%.4g, %.4g, %.4g); the sign near them may be wrong\n",
+               report->inconsistent_edges, at.x, at.y, at.z);
   }
   if (report->inside_out) {
-    say(report, "inside out: the triangles faced inwards and were turned around\n");
+    report_say(report, "inside out: the triangles faced inwards and were turned around\n");
   }
 }
 
@@ -295,6 +335,7 @@ kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_coun
                          kg_arena *arena, kg_error *error)
 {
   *report = (kg_mesh_report){0};
+  *out = (topology){0};
   const kg_status status = check_input(vertices, vertex_count, triangles, triangle_count, error);
   if (status != KG_OK) return status;
   int *merged = KG_ARENA_ARRAY(arena, int, vertex_count);
@@ -319,6 +360,10 @@ kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_coun
   }
   report->vertices = out->vertex_count;
   report->triangles = out->face_count;
-  describe(report);
+  describe(out, report);
+  if (!boundary_describe(out, report, arena)) {
+    return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
+                   triangle_count);
+  }
   return KG_OK;
 }

@@ -5,6 +5,10 @@
 #include "kinegrad/arena.h"
 #include "kinegrad/mesh.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Vertices at the same place are one vertex here. Faces without area are gone, after they have
  * served to find the edges. */
 typedef struct topology {
@@ -16,6 +20,10 @@ typedef struct topology {
   int *source;      /* (face_count) number of the triangle in the input      */
   int edge_count;
   bool is_closed; /* every edge is walked as often one way as the other */
+  int boundary_count;
+  int (*boundary)[2]; /* (boundary_count) edges with one face, in that face's direction */
+  /* a place for each kind of finding, of the first one in the order of faces or edges */
+  kg_vec3 degenerate_at, duplicate_at, non_manifold_at, inconsistent_at;
 } topology;
 
 /* Memory from arena. Turns a closed mesh of negative volume around. Errors as kg_mesh_create. */
@@ -23,4 +31,13 @@ kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_coun
                          const int *triangles, int triangle_count, kg_mesh_report *report,
                          kg_arena *arena, kg_error *error);
 
+/* Adds a sentence to the report. */
+void report_say(kg_mesh_report *report, const char *format, ...) KG_PRINTF(2, 3);
+
+/* Gaps and borders (sdf/boundary.c): counts them and says what they are. False: no memory. */
+bool boundary_describe(const topology *topo, kg_mesh_report *report, kg_arena *arena);
+
+#ifdef __cplusplus
+}
+#endif
 #endif

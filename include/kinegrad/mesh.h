@@ -14,18 +14,25 @@ extern "C" {
 typedef struct kg_mesh kg_mesh;
 
 /* What was found while building (vertices at the same place count as one); text holds one line per
- * finding, "" when the mesh is clean. */
+ * finding with its number, the place of the first (m) and what follows from it, "" when the mesh is
+ * clean. */
 typedef struct kg_mesh_report {
   int vertices, triangles;
-  int boundary_edges; /* > 0: open; distance is then signed by the nearest side only */
+  int boundary_edges; /* > 0: open; distance is then signed by the nearest side only          */
+  int gaps;           /* rims of holes in parts that are closed but for them                  */
+  int borders;        /* rims of parts that are sheets, such as terrain                       */
   int non_manifold_edges;
-  int inconsistent_edges; /* two faces with opposite orientation                        */
-  int degenerate;         /* faces of zero area, removed                                */
-  int duplicates;         /* repeated faces, removed                                    */
-  bool closed;            /* every edge is walked as often one way as the other         */
-  bool inside_out;        /* closed, negative volume; was turned around                 */
-  double volume;          /* m^3, when closed                                           */
-  char text[1024];
+  int inconsistent_edges; /* two faces with opposite orientation                                  */
+  int degenerate;         /* faces of zero area, removed                                          */
+  int duplicates;         /* repeated faces, removed                                              */
+  bool closed;            /* every edge is walked as often one way as the other                   */
+  bool inside_out;        /* closed, negative volume; was turned around                           */
+  double volume;          /* m^3, when closed                                                     */
+  /* kg_mesh_read only */
+  int bent;      /* polygons that are not flat within a hundredth of their size          */
+  int tangled;   /* polygons whose outline crosses itself                                */
+  int crossings; /* pairs of triangles that cut through each other, at least             */
+  char text[2048];
 } kg_mesh_report;
 
 /* vertices: (vertex_count) points in m; triangles: (triangle_count, 3) indices, counter-clockwise
@@ -36,10 +43,14 @@ KG_API KG_MUST_USE kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *verti
                                             int triangle_count, kg_mesh_report *report,
                                             const kg_allocator *allocator, kg_error *error);
 
-/* OBJ, PLY, OFF or STL (by extension) through OpenMesh; polygons, taken as convex, are
- * triangulated; lengths times unit_m. Coordinates are read in single precision (6e-8 of their
- * size). KG_ERR_READ: no such file, or empty. KG_ERR_FORMAT: another extension, a damaged or
- * shortened file, and as kg_mesh_create. KG_ERR_UNSUPPORTED: a PLY list with a 32-bit length. */
+/* OBJ, PLY, OFF or STL (by extension) through OpenMesh, PLY and STL in text or binary; polygons are
+ * triangulated, concave ones too; lengths times unit_m. Coordinates are read in single precision
+ * (6e-8 of their size). The report also tells of polygons that are not flat or cross themselves and
+ * of triangles that cut through each other.
+ * KG_ERR_READ: no such file, or empty. KG_ERR_FORMAT: another extension; a damaged or shortened
+ * file, with line and column, or with the byte in the text where the file is binary; and as
+ * kg_mesh_create. KG_ERR_UNSUPPORTED: OFF in binary; a PLY file of more than 16 elements or 64
+ * properties, or in binary with 16-bit numbers of corners; a concave polygon of more than 512 corners. */
 KG_API KG_MUST_USE kg_status kg_mesh_read(kg_mesh **mesh, const char *path, double unit_m,
                                           kg_mesh_report *report, const kg_allocator *allocator,
                                           kg_error *error);

@@ -1,0 +1,36 @@
+/* What a mesh file must be before OpenMesh's readers see it: they trust counts, lengths and indices,
+ * take a file that ends early for a short one, and never say where. Internal to sdf/. */
+#ifndef KG_SDF_CHECK_H
+#define KG_SDF_CHECK_H
+
+#include "kinegrad/base.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* In: the file. Out: what it holds, and where `plain_size` > 0 the same mesh in the plainest form
+ * of its format, without comments, colours and names of other files. */
+typedef struct mesh_file {
+  const char *path, *content;
+  size_t size;
+  char *plain; /* room for CHECK_ROOM(size) bytes */
+  size_t plain_size;
+  long long vertices, faces; /* -1: the format repeats vertices */
+  bool binary;
+} mesh_file;
+
+/* facets of a text STL without normals get some */
+#define CHECK_ROOM(size) ((size) + (size) / 4 + 64)
+
+/* KG_ERR_FORMAT with line and column, or in a binary file with the byte in the text.
+ * KG_ERR_UNSUPPORTED: legal, not read. */
+kg_status check_obj(mesh_file *file, kg_error *error);
+kg_status check_off(mesh_file *file, kg_error *error);
+kg_status check_stl(mesh_file *file, kg_error *error);
+kg_status check_ply(mesh_file *file, kg_error *error);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
