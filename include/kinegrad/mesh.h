@@ -50,7 +50,8 @@ KG_API KG_MUST_USE kg_status kg_mesh_create(kg_mesh **mesh, const kg_vec3 *verti
  * KG_ERR_READ: no such file, or empty. KG_ERR_FORMAT: another extension; a damaged or shortened
  * file, with line and column, or with the byte in the text where the file is binary; and as
  * kg_mesh_create. KG_ERR_UNSUPPORTED: OFF in binary; a PLY file of more than 16 elements or 64
- * properties, or in binary with 16-bit numbers of corners; a concave polygon of more than 512 corners. */
+ * properties, or in binary with 16-bit numbers of corners; a concave polygon of more than 512
+ * corners. */
 KG_API KG_MUST_USE kg_status kg_mesh_read(kg_mesh **mesh, const char *path, double unit_m,
                                           kg_mesh_report *report, const kg_allocator *allocator,
                                           kg_error *error);
