@@ -152,21 +152,48 @@ static bool print_tree(FILE *file, const kg_body *body)
   return true;
 }
 
+static bool is_exported(const kg_sdf_shape *s)
+{
+  return s->kind == KG_SHAPE_PLANE && s->place == 0 && !s->part;
+}
+
+/* What of the scene the model has no counterpart for */
+static void print_what_is_missing(FILE *file, const kg_scene *scene)
+{
+  int shapes = 0, soft = 0, moving = 0;
+  for (int i = 0; i < scene->shape_count; i++) {
+    const kg_sdf_shape *s = &scene->shapes[i];
+    if (s->part) continue;
+    shapes += !is_exported(s);
+    soft += is_exported(s) && s->ground > 0;
+    moving += s->place > 0;
+  }
+  if (shapes + soft == 0) return;
+  fprintf(file, "    <!-- Not in this model:");
+  if (shapes > 0)
+    fprintf(file, " %d shape%s of the scene that are no plane at rest", shapes,
+            shapes > 1 ? "s" : "");
+  if (moving > 0) fprintf(file, " (%d in a place that may move)", moving);
+  if (soft > 0)
+    fprintf(file, "%s the soft layer of %d plane%s", shapes > 0 ? ";" : "", soft,
+            soft > 1 ? "s" : "");
+  fprintf(file, " -->\n");
+}
+
 /* MuJoCo's plane lies across its own z */
 static void print_planes(FILE *file, const kg_scene *scene)
 {
   bool first = true;
   for (int i = 0; i < scene->shape_count; i++) {
     const kg_sdf_shape *s = &scene->shapes[i];
-    if (s->kind != KG_SHAPE_PLANE) {
-      continue;
-    }
+    if (!is_exported(s)) continue;
+    const kg_vec3 at = kg_vec3_add_scaled(s->a, s->offset, s->b);
     const kg_quat turn = kg_quat_between(kg_vec3_make(0.0, 0.0, 1.0), s->b);
     fprintf(
       file,
       "    <geom%s type=\"plane\" size=\"10 10 0.1\" contype=\"0\" conaffinity=\"1\""
       " pos=\"%.17g %.17g %.17g\" quat=\"%.17g %.17g %.17g %.17g\" rgba=\"0.4 0.5 0.5 1\"/>\n",
-      first ? " name=\"ground\"" : "", s->a.x, s->a.y, s->a.z, turn.w, turn.x, turn.y, turn.z);
+      first ? " name=\"ground\"" : "", at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z);
     first = false;
   }
 }
@@ -188,6 +215,7 @@ static bool print_model(FILE *file, const kg_body *body, const kg_scene *scene, 
           -gravity);
   const kg_scene level = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
   print_planes(file, scene ? scene : &level);
+  if (scene) print_what_is_missing(file, scene);
   if (!print_tree(file, body)) {
     return false;
   }

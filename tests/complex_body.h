@@ -268,7 +268,8 @@ typedef struct complex_joint {
   double low[3], high[3];
 } complex_joint;
 
-/* G and all it depends on. Ground: the plane y = 0 and, with a radius, a ball. */
+/* G and all it depends on. Ground: the plane y = 0 and, with a radius, a ball that may move; both
+ * covered. */
 typedef struct complex_step {
   complex_body body;
   const double *q;
@@ -278,6 +279,8 @@ typedef struct complex_step {
   cplx contact[6];
   kg_vec3 ball;
   double radius;
+  kg_vec3 ball_velocity, ball_spin; /* of and about its centre */
+  kg_ground cover;
   cplx joint_damping;
   bool has_passive;
   complex_joint joint[MAX_NV];
@@ -285,45 +288,61 @@ typedef struct complex_step {
 
 typedef struct complex_surface {
   cplx phi;
-  c3 normal;
+  c3 normal, velocity;
 } complex_surface;
 
 static inline complex_surface complex_distance(const complex_step *s, c3 x)
 {
-  complex_surface near = {x.y, {0.0, 1.0, 0.0}};
+  complex_surface near = {x.y, {0.0, 1.0, 0.0}, {0.0, 0.0, 0.0}};
   if (s->radius > 0.0) {
     const c3 r = c_sub(x, c_real(s->ball));
     const cplx length = csqrt(c_dot(r, r));
     if (creal(length) - s->radius < creal(near.phi)) {
-      near = (complex_surface){length - s->radius, c_scale(1.0 / length, r)};
+      near = (complex_surface){length - s->radius, c_scale(1.0 / length, r),
+                               c_add(c_real(s->ball_velocity), c_cross(c_real(s->ball_spin), r))};
     }
   }
   return near;
 }
 
-/* docs/theory/contact.md, (1) to (5), written from there */
-static inline c3 complex_contact(const complex_step *s, c3 x, c3 u)
+/* docs/theory/contact.md, (1) to (5) with (1a), written from there */
+static inline cplx complex_ramp(cplx y)
+{
+  return creal(y) >= 0.1 ? y : creal(y) <= -0.1 ? 0.0 : (y + 0.1) * (y + 0.1) / 0.4;
+}
+
+static inline cplx complex_soft_force(const complex_step *s, cplx phi)
+{
+  const cplx layer = s->contact[0], p = s->cover.thickness + layer - phi;
+  return creal(p) < creal(layer) ? s->cover.stiffness * p * p / (2.0 * layer)
+                                 : s->cover.stiffness * (p - layer / 2.0);
+}
+
+static inline cplx complex_hard_force(const complex_step *s, cplx phi)
 {
   const cplx layer = s->contact[0], F = s->contact[1], share = s->contact[2];
-  const cplx damping = s->contact[3], mu = s->contact[4], stick = s->contact[5];
+  if (creal(phi) >= creal(layer)) return 0.0;
+  if (creal(phi) >= creal(share * layer)) return F * (layer - phi) * (layer - phi) / (layer * phi);
+  const cplx p = share * layer, d = layer - p;
+  const cplx slope = F / layer * (-2.0 * d / p - d * d / (p * p));
+  return F * d * d / (layer * p) + slope * (phi - p);
+}
+
+static inline c3 complex_contact(const complex_step *s, c3 x, c3 u)
+{
+  const kg_ground *g = &s->cover;
+  const cplx stick = s->contact[5], mu = g->friction >= 0.0 ? g->friction : s->contact[4];
   const complex_surface at = complex_distance(s, x);
-  if (creal(at.phi) >= creal(layer)) return (c3){0.0, 0.0, 0.0};
+  if (creal(at.phi) >= creal(s->contact[0]) + g->thickness) return (c3){0.0, 0.0, 0.0};
+  u = c_sub(u, at.velocity);
   const cplx phi_dot = c_dot(at.normal, u);
-  cplx N;
-  if (creal(at.phi) >= creal(share * layer)) {
-    N = F * (layer - at.phi) * (layer - at.phi) / (layer * at.phi);
-  } else {
-    const cplx p = share * layer, d = layer - p;
-    const cplx slope = F / layer * (-2.0 * d / p - d * d / (p * p));
-    N = F * d * d / (layer * p) + slope * (at.phi - p);
-  }
-  const cplx y = 1.0 - damping * phi_dot;
-  const cplx r = creal(y) >= 0.1 ? y : creal(y) <= -0.1 ? 0.0 : (y + 0.1) * (y + 0.1) / 0.4;
+  const cplx hard = complex_hard_force(s, at.phi) * complex_ramp(1.0 - s->contact[3] * phi_dot);
+  const cplx soft = complex_soft_force(s, at.phi) * complex_ramp(1.0 - g->damping * phi_dot);
   const c3 u_t = c_sub(u, c_scale(phi_dot, at.normal));
   const cplx speed = csqrt(c_dot(u_t, u_t));
   const cplx z = speed / stick;
   const cplx k = creal(z) < 1.0 ? (2.0 - z) / stick : 1.0 / speed;
-  return c_scale(N * r, c_sub(at.normal, c_scale(mu * k, u_t)));
+  return c_scale(hard + soft, c_sub(at.normal, c_scale(mu * k, u_t)));
 }
 
 /* Rotation vector of the matrix, below half a turn: from its antisymmetric part and its trace */
@@ -447,6 +466,7 @@ static inline complex_step complex_step_of(const kg_step_def *def, const double 
   const kg_contact_params *c = &def->contact;
   const cplx law[6] = {c->layer, c->force, c->floor_share, c->damping, c->friction, c->stick};
   memcpy(s.contact, law, sizeof law);
+  s.cover = kg_ground_default();
   s.joint_damping = def->joint_damping;
   s.body.gravity = c_real(def->gravity);
   for (int k = 0; k < def->body->nv; k++) {

@@ -3,6 +3,7 @@
  * velocity in the root's, ball joints with relative angular velocity in the child's frame. */
 #include "support.h"
 
+#include <stdio.h>
 #include <unistd.h>
 
 #include <mujoco/mujoco.h>
@@ -216,6 +217,40 @@ static void the_model_has_the_planes_of_the_scene(void **state)
   tear_down(&b);
 }
 
+/* whether the file has the text */
+static bool mentions(const char *path, const char *text)
+{
+  char line[1000];
+  bool found = false;
+  FILE *file = fopen(path, "r");
+  assert_non_null(file);
+  while (fgets(line, sizeof line, file)) {
+    found = found || strstr(line, text);
+  }
+  fclose(file);
+  return found;
+}
+
+static void the_model_says_what_it_lacks(void **state)
+{
+  (void)state;
+  both b = set_up(KG_BENCH_MAPPED, KG_TEST_DATA "/walker.bvh");
+  const char *path = KG_TEST_SCRATCH "/mujoco_lacks.xml";
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  assert_int_equal(kg_body_write_mjcf(b.body, &scene, path, 9.8, NULL), KG_OK);
+  assert_false(mentions(path, "Not in this model"));
+  const kg_ground mat = {.thickness = 0.05, .stiffness = 1e4, .friction = -1.0};
+  const kg_place place = {.at = {1.0, 0.0, 0.0}, .velocity = {1.0, 0.0, 0.0}};
+  scene.shapes[0].ground = kg_scene_add_ground(&scene, &mat);
+  const kg_sdf_shape ball = {
+    .kind = KG_SHAPE_SPHERE, .radius = 1.0, .place = kg_scene_add_place(&scene, &place)};
+  assert_true(kg_scene_add(&scene, &ball));
+  assert_int_equal(kg_body_write_mjcf(b.body, &scene, path, 9.8, NULL), KG_OK);
+  assert_true(mentions(path, "1 shape of the scene that are no plane at rest"));
+  assert_true(mentions(path, "(1 in a place that may move); the soft layer of 1 plane -->"));
+  tear_down(&b);
+}
+
 static void a_path_that_cannot_be_written_is_reported(void **state)
 {
   (void)state;
@@ -235,6 +270,7 @@ int main(void)
     cmocka_unit_test(poses_and_momentum_agree_with_mujoco),
     cmocka_unit_test(the_model_stands_on_its_ground),
     cmocka_unit_test(the_model_has_the_planes_of_the_scene),
+    cmocka_unit_test(the_model_says_what_it_lacks),
     cmocka_unit_test(a_path_that_cannot_be_written_is_reported),
   };
   return cmocka_run_group_tests_name("mujoco", tests, NULL, NULL);

@@ -176,6 +176,13 @@ static reference *reference_of(const kg_step_def *def, const double *q, const do
   if (ball) {
     r->at.ball = ball->a;
     r->at.radius = ball->radius;
+    if (ball->ground > 0) r->at.cover = def->scene->grounds[ball->ground - 1];
+  }
+  if (ball && ball->place > 0) {
+    const kg_place *place = &def->scene->places[ball->place - 1];
+    r->at.ball = place->at;
+    r->at.ball_velocity = place->velocity;
+    r->at.ball_spin = place->spin;
   }
   r->nv = def->body->nv;
   matrix_by(&r->at, r->at.v_end, r->nv, r->J);
@@ -457,8 +464,9 @@ static void derivatives_of_solved_steps(void **state)
   (void)state;
   kg_body *body = human_body();
   kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
-  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.1, -0.5, 0.05}, .radius = 0.5005};
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .a = {0.07, -0.5, -0.05}, .radius = 0.5005};
   assert_true(kg_scene_add(&scene, &ball));
+  int curved = 0;
   kg_random random = kg_random_make(9);
   kg_step_def def = kg_step_default_def(body);
   def.scene = &scene;
@@ -474,9 +482,61 @@ static void derivatives_of_solved_steps(void **state)
     kg_step_advance(step, q_end, v_end, q, v, tau, 1.0 / 120.0, false, &report);
     assert_true(report.converged && report.substeps == 1);
     assert_true((report.contact_count > 0) == (trial != FLIGHT));
+    for (int k = 0; k < report.contact_count; k++) {
+      curved += report.contacts[k].force.direction.y < 1.0;
+    }
     expect(names[trial], compare(step, &def, &random, q, v, tau, 1.0 / 120.0, v_end, &ball));
   }
+  assert_true(curved > 0);
   kg_step_destroy(step);
+  kg_body_destroy(body);
+}
+
+/* The same on a mat, with a ball that moves under it, on one foot: pressed into the soft layer, and
+ * through to the core. */
+static void derivatives_on_soft_and_moving_ground(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_scene scene = {0};
+  const kg_ground mat = {.thickness = 0.02, .stiffness = 2e4, .damping = 0.7, .friction = 0.6};
+  const kg_place place = {
+    .at = {0.07, -0.497, -0.05}, .velocity = {0.2, 0.05, -0.1}, .spin = {0.3, -0.4, 0.5}};
+  const kg_sdf_shape floor = {.kind = KG_SHAPE_PLANE, .b = {0.0, 1.0, 0.0}, .ground = 1};
+  kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE, .radius = 0.5005, .place = 1, .ground = 1};
+  assert_int_equal(kg_scene_add_ground(&scene, &mat), 1);
+  assert_int_equal(kg_scene_add_place(&scene, &place), 1);
+  assert_true(kg_scene_add(&scene, &floor) && kg_scene_add(&scene, &ball));
+  kg_random random = kg_random_make(19);
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.joint_damping = 2.0;
+  int soft_only = 0, on_core = 0, carried = 0;
+  for (int trial = 0; trial < 4 * KINDS; trial++) {
+    if (trial == 2 * KINDS) scene.grounds[0].friction = -1.0; /* that of the law */
+    kg_step *step = create_step(&def);
+    double q[MAX_NQ], v[MAX_NV], tau[MAX_NV] = {0.0}, q_end[MAX_NQ], v_end[MAX_NV];
+    kg_step_report report;
+    human_state(&random, body, trial % KINDS, q, v);
+    if (trial / KINDS % 2 == 1) q[1] += 0.013;
+    for (int k = 6; k < body->nv; k++) {
+      tau[k] = kg_random_normal(&random);
+    }
+    kg_step_advance(step, q_end, v_end, q, v, tau, 1.0 / 120.0, false, &report);
+    assert_true(report.converged && report.substeps == 1);
+    assert_true((report.contact_count > 0) == (trial % KINDS != FLIGHT));
+    for (int k = 0; k < report.contact_count; k++) {
+      const kg_contact_force *force = &report.contacts[k].force;
+      soft_only += force->distance > def.contact.layer;
+      on_core += force->distance < def.contact.layer;
+      carried += kg_vec3_norm(force->velocity) > 0.0;
+    }
+    expect(names[trial % KINDS],
+           compare(step, &def, &random, q, v, tau, 1.0 / 120.0, v_end, &ball));
+    kg_step_destroy(step);
+  }
+  print_message("%d soft, %d on the core, %d carried\n", soft_only, on_core, carried);
+  assert_true(soft_only > 10 && on_core > 10 && carried > 5);
   kg_body_destroy(body);
 }
 
@@ -919,6 +979,7 @@ int main(void)
     cmocka_unit_test(derivatives_equal_complex_steps),
     cmocka_unit_test(derivatives_hold_at_kinks),
     cmocka_unit_test(derivatives_of_solved_steps),
+    cmocka_unit_test(derivatives_on_soft_and_moving_ground),
     cmocka_unit_test(gradient_equals_differences),
     cmocka_unit_test(substeps_are_gone_back_through),
     cmocka_unit_test(a_gradient_is_whole_or_nothing),

@@ -534,6 +534,47 @@ static void sliding_block_decelerates_by_mu_g(void **state)
   kg_body_destroy(body);
 }
 
+/* A block dropped on a mat that moves: it ends at the floor's speed, sunk as deep as its weight
+ * presses the four corners. */
+static void a_moving_mat_carries_a_block(void **state)
+{
+  (void)state;
+  const double mass = 10.0, speed = 0.8;
+  kg_body *body = box_body(mass, kg_vec3_make(0.2, 0.03, 0.2));
+  const kg_ground mat = {.thickness = 0.04, .stiffness = 2e3, .damping = 2.0, .friction = 0.4};
+  const kg_place place = {.velocity = {speed, 0.0, 0.0}};
+  kg_scene scene = {0};
+  const kg_sdf_shape floor = {.kind = KG_SHAPE_PLANE,
+                              .b = {0.0, 1.0, 0.0},
+                              .place = kg_scene_add_place(&scene, &place),
+                              .ground = kg_scene_add_ground(&scene, &mat)};
+  assert_true(kg_scene_add(&scene, &floor));
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  double q[7], v[6] = {0.0};
+  kg_step_report report;
+  rest_state(body, 0.03 + 0.05, q);
+  for (int k = 0; k < 600; k++) {
+    const double was = v[0];
+    kg_step_advance(s, q, v, q, v, NULL, 0.005, false, &report);
+    assert_true(report.converged && report.substeps == 1);
+    double normal = 0.0;
+    for (int c = 0; c < report.contact_count; c++) {
+      normal += report.contacts[c].force.normal;
+    }
+    const double most = mat.friction * normal / mass * 0.005; /* of the mat, not of the law */
+    if (was > 0.9 * speed) continue;
+    assert_close(v[0] - was, most, 1e-6); /* it slides */
+  }
+  const double sunk = 0.5 * def.contact.layer + mass * 9.8 / report.contact_count / mat.stiffness;
+  assert_close(v[0], speed, 1e-6);
+  assert_close(report.contacts[0].force.distance, mat.thickness + def.contact.layer - sunk, 1e-6);
+  assert_int_equal(report.contact_count, 4);
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
 static void block_sticks_on_a_slope(void **state)
 {
   (void)state;
@@ -779,6 +820,7 @@ int main(void)
     cmocka_unit_test(box_stands_still),
     cmocka_unit_test(human_stands_still),
     cmocka_unit_test(sliding_block_decelerates_by_mu_g),
+    cmocka_unit_test(a_moving_mat_carries_a_block),
     cmocka_unit_test(block_sticks_on_a_slope),
     cmocka_unit_test(dropped_rod_comes_to_rest),
     cmocka_unit_test(bouncing_block_gains_nothing),

@@ -138,8 +138,9 @@ KG_API void kg_body_difference(const kg_body *body, double *d, const double *q_b
                                const double *q_a);
 
 /* The body as a MuJoCo model: free root, ball joints, explicit inertias, and the planes of the scene
- * (its other shapes are left out; NULL: the plane y = 0). KG_ERR_WRITE. gravity in m/s^2. The joints' coordinates agree with ours up to MuJoCo's order of
- * qpos (root position, root quaternion, ball quaternions in segment order). Segments must be in
+ * at rest (NULL: the plane y = 0). A comment in the file counts what is left out: other shapes, soft
+ * layers. KG_ERR_WRITE. gravity in m/s^2. The joints' coordinates agree with ours up to MuJoCo's order
+ * of qpos (root position, root quaternion, ball quaternions in segment order). Segments must be in
  * depth-first order, as kg_body_from_clip makes them; MuJoCo wants masses and inertias above
  * zero. */
 KG_API KG_MUST_USE kg_status kg_body_write_mjcf(const kg_body *body, const kg_scene *scene,
