@@ -10,11 +10,13 @@
  * is never taken for crossing. */
 #include "sdf/crossings.h"
 
+#include "sdf/boxes.h"
+
 enum { TESTS_PER_TRIANGLE = 400, TESTS_AT_LEAST = 100000 };
 
 typedef struct search {
   const topology *topo;
-  const bvh *tree;
+  const boxes *tree;
   long long tests_left; /* of boxes and of pairs */
   int count;
   kg_vec3 where;
@@ -57,8 +59,9 @@ static bool share_corner(const int *a, const int *b)
   return false;
 }
 
-static void corners_of(const topology *topo, int face, kg_vec3 out[3])
+static void face_corners(int face, kg_vec3 out[3], const void *user)
 {
+  const topology *topo = user;
   for (int k = 0; k < 3; k++) {
     out[k] = topo->vertices[topo->corner[face][k]];
   }
@@ -68,7 +71,7 @@ static void try_pair(search *s, int face, const kg_vec3 t[3], int other)
 {
   kg_vec3 u[3];
   if (other <= face || share_corner(s->topo->corner[face], s->topo->corner[other])) return;
-  corners_of(s->topo, other, u);
+  face_corners(other, u, s->topo);
   s->tests_left--;
   if (pair_cuts(t, u) && s->count++ == 0) {
     s->where = kg_vec3_scale(1.0 / 3.0, kg_vec3_add(kg_vec3_add(t[0], t[1]), t[2]));
@@ -93,10 +96,10 @@ static float_box box_of(const kg_vec3 t[3])
   return box;
 }
 
-static bool overlaps(const bvh_node *node, int k, const float_box *box)
+static bool overlaps(const boxes_node *node, const float_box *box)
 {
   for (int i = 0; i < 3; i++) {
-    if (node->lo[i][k] > box->hi[i] || node->hi[i][k] < box->lo[i]) return false;
+    if (node->lo[i] > box->hi[i] || node->hi[i] < box->lo[i]) return false;
   }
   return true;
 }
@@ -104,27 +107,30 @@ static bool overlaps(const bvh_node *node, int k, const float_box *box)
 static void search_face(search *s, int face)
 {
   kg_vec3 t[3];
-  corners_of(s->topo, face, t);
+  face_corners(face, t, s->topo);
   const float_box box = box_of(t);
-  int stack[BVH_STACK], top = 0;
+  int stack[BOXES_STACK], top = 0;
   stack[top++] = 0;
   while (top > 0 && s->tests_left > 0) {
-    const bvh_node *node = &s->tree->nodes[stack[--top]];
+    const boxes_node *node = &s->tree->nodes[stack[--top]];
     s->tests_left--;
-    for (int k = 0; k < BVH_WIDTH; k++) {
-      if (node->count[k] < 0 || !overlaps(node, k, &box)) continue;
-      if (node->count[k] == 0) stack[top++] = node->child[k];
-      for (int j = node->child[k]; j < node->child[k] + node->count[k]; j++) {
-        try_pair(s, face, t, s->tree->order[j]);
-      }
+    if (!overlaps(node, &box)) continue;
+    if (node->count == 0) {
+      stack[top++] = node->first + 1;
+      stack[top++] = node->first;
+    }
+    for (int j = 0; j < node->count; j++) {
+      try_pair(s, face, t, s->tree->order[node->first + j]);
     }
   }
 }
 
-void crossings_describe(const topology *topo, const bvh *tree, kg_mesh_report *report)
+bool crossings_describe(const topology *topo, kg_mesh_report *report, kg_arena *arena)
 {
+  boxes tree;
+  if (!boxes_build(&tree, topo->face_count, face_corners, topo, arena)) return false;
   const long long most = (long long)TESTS_PER_TRIANGLE * topo->face_count;
-  search s = {.topo = topo, .tree = tree};
+  search s = {.topo = topo, .tree = &tree};
   s.tests_left = most > TESTS_AT_LEAST ? most : TESTS_AT_LEAST;
   for (int face = 0; face < topo->face_count && s.tests_left > 0; face++) {
     search_face(&s, face);
@@ -139,4 +145,5 @@ void crossings_describe(const topology *topo, const bvh *tree, kg_mesh_report *r
   } else if (s.tests_left <= 0) {
     report_say(report, "self-intersection: not searched to the end, too many triangles overlap\n");
   }
+  return true;
 }

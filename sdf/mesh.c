@@ -477,8 +477,8 @@ kg_status mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
     if (built) {
       built->arena = arena;
     }
-    if (built && fill_mesh(built, &topo, &scratch)) {
-      if (search_crossings) crossings_describe(&topo, &built->tree, report);
+    if (built && fill_mesh(built, &topo, &scratch) &&
+        (!search_crossings || crossings_describe(&topo, report, &scratch))) {
       *mesh = built;
     } else {
       status = kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
