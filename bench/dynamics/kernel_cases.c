@@ -21,7 +21,7 @@ typedef struct size {
 } size;
 
 static const size vectors_23 = {KG_BENCH_MAPPED, 32}, vectors_37 = {KG_BENCH_EVERY_JOINT, 32};
-static const size matrices_23 = {KG_BENCH_MAPPED, 2}, matrices_37 = {KG_BENCH_EVERY_JOINT, 2};
+static const size matrices_23 = {KG_BENCH_MAPPED, 8}, matrices_37 = {KG_BENCH_EVERY_JOINT, 8};
 
 typedef struct states {
   kg_bench_model model;
@@ -136,6 +136,33 @@ static kg_status open_momenta(kg_bench_problem *problem, const kg_bench_setting 
   return status;
 }
 
+static kg_status open_accelerations(kg_bench_problem *problem, const kg_bench_setting *setting,
+                                    const void *detail, kg_error *error)
+{
+  const kg_status status = open(problem, setting, detail, error);
+  if (status == KG_OK) {
+    const states *s = problem->data;
+    const size_t n = (size_t)s->count * (size_t)s->model.body->segment_count;
+    problem->parts[0] = (kg_bench_part){"of the joints", 3 * n, 1};
+    problem->parts[1] = (kg_bench_part){"of rotation", 3 * n, 1};
+    problem->part_count = 2;
+  }
+  return status;
+}
+
+static kg_status open_points(kg_bench_problem *problem, const kg_bench_setting *setting,
+                             const void *detail, kg_error *error)
+{
+  const kg_status status = open(problem, setting, detail, error);
+  if (status == KG_OK) {
+    const states *s = problem->data;
+    const size_t nv = (size_t)s->model.body->nv;
+    problem->parts[0] = (kg_bench_part){"Jacobian", 3 * (size_t)s->count * nv, 1};
+    problem->part_count = 1;
+  }
+  return status;
+}
+
 /* all derivatives by q, then all by v, then all by a or tau */
 static kg_status open_derivatives(kg_bench_problem *problem, const kg_bench_setting *setting,
                                   const void *detail, kg_error *error)
@@ -162,17 +189,23 @@ typedef struct kernel {
   kg_mujoco *mujoco;
 #endif
   double *lanes; /* q, v, a and answers of the states, eight at a time: x[k][8] */
+  double *wide;  /* three matrices of eight states                              */
+  kg_lanes_matrix *matrix[3];
   bool is_compared;
 } kernel;
 
 static void destroy(void *state)
 {
   kernel *k = state;
+  for (int i = 0; i < 3; i++) {
+    kg_lanes_matrix_destroy(k->matrix[i]);
+  }
   kg_dynamics_destroy(k->dynamics);
 #ifdef KG_BENCH_HAS_MUJOCO
   kg_mujoco_close(k->mujoco);
 #endif
   free(k->lanes);
+  free(k->wide);
   free(k);
 }
 
@@ -245,6 +278,45 @@ static kg_status create_lanes(void **state, const void *data, const kg_allocator
   return KG_OK;
 }
 
+/* With room for matrices. */
+static kg_status create_wide(void **state, const void *data, const kg_allocator *allocator)
+{
+  kg_status status = create_lanes(state, data, allocator);
+  if (status != KG_OK) {
+    return status;
+  }
+  kernel *k = *state;
+  const size_t nv = (size_t)k->of->model.body->nv;
+  k->wide = calloc(24 * nv * nv, sizeof *k->wide);
+  status = k->wide ? KG_OK : KG_ERR_NO_MEMORY;
+  for (int i = 0; i < 3 && status == KG_OK; i++) {
+    status = kg_lanes_matrix_create(&k->matrix[i], k->dynamics, allocator);
+  }
+  if (status != KG_OK) {
+    destroy(k);
+  }
+  return status;
+}
+
+/* Rows of the eight states of group g out of lanes: count numbers a state, from wide. */
+static void rows_of_group(const kernel *k, int g, const double *lanes, size_t count, double *answer)
+{
+  for (size_t f = 0; f < 8 && !k->is_compared; f++) {
+    for (size_t j = 0; j < count; j++) {
+      answer[(8 * (size_t)g + f) * count + j] = lanes[8 * j + f];
+    }
+  }
+}
+
+/* The same of a matrix of the tree. */
+static void rows_of_matrix(const kernel *k, int g, const kg_lanes_matrix *matrix, double *answer)
+{
+  const size_t nv = (size_t)k->of->model.body->nv;
+  for (int f = 0; f < 8 && !k->is_compared; f++) {
+    kg_lanes_matrix_dense(matrix, f, answer + (8 * (size_t)g + (size_t)f) * nv * nv);
+  }
+}
+
 /* Only the first answer is looked at: the runs that are timed leave theirs in lanes. */
 static void answer_from_lanes(kernel *k, double *answer)
 {
@@ -300,6 +372,22 @@ static size_t row(const states *s, int i)
     return KG_OK;                                                                                  \
   }
 
+/* A run in lanes: the call for every group g of eight states, at which q, v, a and the answer are. */
+#define RUN_LANES(name, call)                                                                      \
+  static kg_status name(void *state, double *answer)                                               \
+  {                                                                                                \
+    kernel *k = state;                                                                             \
+    const states *s = k->of;                                                                       \
+    const size_t nv = (size_t)s->model.body->nv, n = (size_t)s->model.body->segment_count;         \
+    (void)nv, (void)n, (void)answer;                                                               \
+    for (int g = 0; g < s->count / 8; g++) {                                                       \
+      const group at = group_of(k, g);                                                             \
+      call;                                                                                        \
+    }                                                                                              \
+    k->is_compared = true;                                                                         \
+    return KG_OK;                                                                                  \
+  }
+
 /* ---- kinematics ------------------------------------------------------------------------------ */
 
 static double *positions(const states *s, int i, double *answer)
@@ -339,12 +427,109 @@ static kg_status run_pose_many(void *state, double *answer)
   return KG_OK;
 }
 
+RUN_LANES(run_pose_lanes, {
+  double *p = k->wide;
+  double *R = p + 8 * 3 * n;
+  kg_dynamics_velocity_lanes(k->dynamics, at.q, NULL, p, R, NULL, NULL);
+  rows_of_group(k, g, p, 3 * n, answer);
+  rows_of_group(k, g, R, 9 * n, answer + 3 * (size_t)s->count * n);
+})
+
 static const kg_bench_contestant poses[] = {
   {"kinegrad", NULL, 3, create, run_pose, destroy},
   MUJOCO_CONTESTANT("MuJoCo, mj_kinematics", 3, create_mujoco, run_mujoco_pose, destroy),
   {"kinegrad, many", NULL, 3, create, run_pose_many, destroy},
+  {"kinegrad, in lanes", NULL, 3, create_wide, run_pose_lanes, destroy},
 };
-static const kg_bench_pair pose_pairs[] = {{"kinegrad", 0, 1, 0.0}, {"kinegrad many", 2, 1, 0.0}};
+static const kg_bench_pair pose_pairs[] = {{"kinegrad", 0, 1, 0.0},
+                                           {"kinegrad many", 2, 1, 0.0},
+                                           {"kinegrad in lanes", 3, 1, 0.0},
+                                           {"lanes against one state", 3, 0, 1.0}};
+
+/* ---- accelerations --------------------------------------------------------------------------- */
+
+static double *joint_accelerations(const states *s, int i, double *answer)
+{
+  return answer + 3 * (size_t)i * (size_t)s->model.body->segment_count;
+}
+
+static double *angular_accelerations(const states *s, int i, double *answer)
+{
+  return joint_accelerations(s, s->count + i, answer);
+}
+
+static kg_status acceleration_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  kg_status status = KG_OK;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    status = kg_bench_reference_acceleration(s->model.body, joint_accelerations(s, i, answer),
+                                             angular_accelerations(s, i, answer), q_of(s, i),
+                                             s->v + row(s, i), s->a + row(s, i));
+  }
+  return status;
+}
+
+RUN(run_acceleration,
+    kg_dynamics_acceleration(k->dynamics, q_of(s, i), s->v + row(s, i), s->a + row(s, i),
+                             (kg_vec3 *)joint_accelerations(s, i, answer),
+                             (kg_vec3 *)angular_accelerations(s, i, answer)))
+RUN_LANES(run_acceleration_lanes, {
+  double *p_ddot = k->wide;
+  double *alpha = p_ddot + 8 * 3 * n;
+  kg_dynamics_acceleration_lanes(k->dynamics, at.q, at.v, at.a, p_ddot, alpha);
+  rows_of_group(k, g, p_ddot, 3 * n, answer);
+  rows_of_group(k, g, alpha, 3 * n, answer + 3 * (size_t)s->count * n);
+})
+
+static const kg_bench_contestant accelerations[] = {
+  {"kinegrad", NULL, 3, create, run_acceleration, destroy},
+  {"kinegrad, in lanes", NULL, 3, create_wide, run_acceleration_lanes, destroy},
+};
+/* bar of lanes: not slower than one state at a time */
+static const kg_bench_pair lanes_pairs[] = {{"kinegrad, us", 0, 0, 0.0},
+                                            {"kinegrad in lanes, us", 1, 1, 0.0},
+                                            {"lanes against one state", 1, 0, 1.0}};
+
+/* ---- points ---------------------------------------------------------------------------------- */
+
+static const double point_place[3] = {0.03, -0.12, 0.07};
+
+static kg_body_point point_of(const states *s)
+{
+  return (kg_body_point){s->model.body->segment_count - 1,
+                         {point_place[0], point_place[1], point_place[2]}};
+}
+
+static kg_status point_reference(const void *data, double *answer)
+{
+  const states *s = data;
+  kg_status status = KG_OK;
+  for (int i = 0; i < s->count && status == KG_OK; i++) {
+    status =
+      kg_bench_reference_point(s->model.body, answer + 3 * row(s, i), q_of(s, i), point_of(s).p);
+  }
+  return status;
+}
+
+RUN(run_point, kg_dynamics_point(k->dynamics, answer + 3 * row(s, i), q_of(s, i), point_of(s)))
+RUN_LANES(run_point_lanes, {
+  double x[24];
+  kg_dynamics_point_lanes(k->dynamics, x, k->wide, at.q, point_of(s));
+  rows_of_group(k, g, k->wide, 3 * nv, answer);
+})
+#ifdef KG_BENCH_HAS_MUJOCO
+RUN(run_mujoco_point, kg_mujoco_point(k->mujoco, answer + 3 * row(s, i), q_of(s, i), point_place))
+#endif
+
+static const kg_bench_contestant points[] = {
+  {"kinegrad", NULL, 1, create, run_point, destroy},
+  {"kinegrad, in lanes", NULL, 1, create_wide, run_point_lanes, destroy},
+  MUJOCO_CONTESTANT("MuJoCo, mj_jac path", 1, create_mujoco, run_mujoco_point, destroy),
+};
+static const kg_bench_pair point_pairs[] = {{"kinegrad", 0, 2, 0.0},
+                                            {"kinegrad in lanes", 1, 2, 0.0},
+                                            {"lanes against one state", 1, 0, 1.0}};
 
 /* ---- momentum -------------------------------------------------------------------------------- */
 
@@ -365,10 +550,15 @@ static kg_status momentum_reference(const void *data, double *answer)
 
 RUN(run_momentum, kg_dynamics_centroidal_matrix(k->dynamics, centroidal(s, i, answer), q_of(s, i)))
 
+RUN_LANES(run_momentum_lanes, {
+  kg_dynamics_centroidal_matrix_lanes(k->dynamics, k->wide, at.q);
+  rows_of_group(k, g, k->wide, 6 * nv, answer);
+})
+
 static const kg_bench_contestant momenta[] = {
   {"kinegrad", NULL, 1, create, run_momentum, destroy},
+  {"kinegrad, in lanes", NULL, 1, create_wide, run_momentum_lanes, destroy},
 };
-static const kg_bench_pair momentum_pairs[] = {{"kinegrad, us", 0, 0, 0.0}};
 
 /* ---- inverse dynamics ------------------------------------------------------------------------ */
 
@@ -520,11 +710,40 @@ RUN(run_solve, kg_dynamics_mass_solve(k->dynamics, start_of_solve(s, i, answer),
 RUN(run_mujoco_solve, kg_mujoco_mass_solve(k->mujoco, start_of_solve(s, i, answer), q_of(s, i)))
 #endif
 
+RUN_LANES(run_solve_lanes, {
+  memcpy(at.out, at.a, 8 * nv * sizeof *at.out);
+  kg_dynamics_mass_solve_lanes(k->dynamics, at.out, at.q);
+  rows_of_group(k, g, at.out, nv, answer);
+})
+
+/* M, its factors and the solution */
+static kg_status run_factor_lanes(void *state, double *answer)
+{
+  kernel *k = state;
+  const size_t nv = (size_t)k->of->model.body->nv;
+  for (int g = 0; g < k->of->count / 8; g++) {
+    const group at = group_of(k, g);
+    memcpy(at.out, at.a, 8 * nv * sizeof *at.out);
+    kg_dynamics_mass_matrix_lanes(k->dynamics, k->matrix[0], at.q);
+    if (kg_lanes_matrix_factor(k->matrix[0]) != 0) {
+      return KG_ERR_UNDEFINED;
+    }
+    kg_lanes_matrix_solve(k->matrix[0], at.out);
+  }
+  answer_from_lanes(k, answer);
+  return KG_OK;
+}
+
 static const kg_bench_contestant solves[] = {
   {"kinegrad", NULL, 1, create, run_solve, destroy},
   MUJOCO_CONTESTANT("MuJoCo, mj_factorM path", 1, create_mujoco, run_mujoco_solve, destroy),
+  {"kinegrad, in lanes", NULL, 1, create_wide, run_solve_lanes, destroy},
+  {"kinegrad, in lanes, M factored", NULL, 1, create_wide, run_factor_lanes, destroy},
 };
-static const kg_bench_pair solve_pairs[] = {{"kinegrad", 0, 1, 0.0}};
+static const kg_bench_pair solve_pairs[] = {{"kinegrad", 0, 1, 0.0},
+                                            {"kinegrad in lanes", 2, 1, 0.0},
+                                            {"lanes, M factored", 3, 1, 0.0},
+                                            {"lanes against one state", 2, 0, 1.0}};
 
 /* ---- mass matrix ----------------------------------------------------------------------------- */
 
@@ -546,11 +765,20 @@ RUN(run_mujoco_mass,
     kg_mujoco_mass_matrix(k->mujoco, answer + row(s, i) * (size_t)s->model.body->nv, q_of(s, i)))
 #endif
 
+/* Matrices of the tree stay as they are in the runs that are timed. */
+RUN_LANES(run_mass_lanes, {
+  kg_dynamics_mass_matrix_lanes(k->dynamics, k->matrix[0], at.q);
+  rows_of_matrix(k, g, k->matrix[0], answer);
+})
+
 static const kg_bench_contestant masses[] = {
   {"kinegrad", NULL, 1, create, run_mass, destroy},
   MUJOCO_CONTESTANT("MuJoCo, mj_crb path", 1, create_mujoco, run_mujoco_mass, destroy),
+  {"kinegrad, in lanes, sparse", NULL, 1, create_wide, run_mass_lanes, destroy},
 };
-static const kg_bench_pair mass_pairs[] = {{"kinegrad", 0, 1, 0.0}};
+static const kg_bench_pair mass_pairs[] = {{"kinegrad", 0, 1, 0.0},
+                                           {"kinegrad in lanes", 2, 1, 0.0},
+                                           {"lanes against one state", 2, 0, 1.0}};
 
 /* ---- derivatives of inverse dynamics --------------------------------------------------------- */
 
@@ -580,11 +808,21 @@ static kg_status run_derivatives(void *state, double *answer)
   return KG_OK;
 }
 
+RUN_LANES(run_derivatives_lanes, {
+  kg_dynamics_inverse_derivatives_lanes(k->dynamics, k->matrix[0], k->matrix[1], k->matrix[2], NULL,
+                                        at.q, at.v, at.a);
+  for (size_t part = 0; part < 3; part++) {
+    rows_of_matrix(k, g, k->matrix[part], answer + part * (size_t)s->count * nv * nv);
+  }
+})
+
 static const kg_bench_contestant derivatives[] = {
   {"kinegrad", NULL, 7, create, run_derivatives, destroy},
+  {"kinegrad, in lanes, sparse", NULL, 7, create_wide, run_derivatives_lanes, destroy},
 };
-static const kg_bench_pair derivative_pairs_23[] = {{"kinegrad, us", 0, 0, 10.0}};
-static const kg_bench_pair derivative_pairs_37[] = {{"kinegrad, us", 0, 0, 0.0}};
+static const kg_bench_pair derivative_pairs_23[] = {{"kinegrad, us", 0, 0, 10.0},
+                                                    {"kinegrad in lanes, us", 1, 1, 0.0},
+                                                    {"lanes against one state", 1, 0, 1.0}};
 
 /* ---- derivatives of forward dynamics --------------------------------------------------------- */
 
@@ -614,10 +852,20 @@ static kg_status run_forward_derivatives(void *state, double *answer)
   return KG_OK;
 }
 
+RUN_LANES(run_forward_derivatives_lanes, {
+  double *out = k->wide;
+  const size_t all = 8 * nv * nv;
+  kg_dynamics_forward_derivatives_lanes(k->dynamics, out, out + all, out + 2 * all, NULL, at.q,
+                                        at.v, at.a);
+  for (size_t part = 0; part < 3; part++) {
+    rows_of_group(k, g, out + part * all, nv * nv, answer + part * (size_t)s->count * nv * nv);
+  }
+})
+
 static const kg_bench_contestant forward_derivatives[] = {
   {"kinegrad", NULL, 7, create, run_forward_derivatives, destroy},
+  {"kinegrad, in lanes", NULL, 7, create_wide, run_forward_derivatives_lanes, destroy},
 };
-static const kg_bench_pair forward_derivative_pairs[] = {{"kinegrad, us", 0, 0, 0.0}};
 
 /* ---- the cases ------------------------------------------------------------------------------- */
 
@@ -634,6 +882,12 @@ static const kg_bench_pair forward_derivative_pairs[] = {{"kinegrad, us", 0, 0, 
 const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES] = {
   CASE("kinematics_23", &vectors_23, open_poses, pose_reference, poses, pose_pairs),
   CASE("kinematics_37", &vectors_37, open_poses, pose_reference, poses, pose_pairs),
+  CASE("accelerations_23", &vectors_23, open_accelerations, acceleration_reference, accelerations,
+       lanes_pairs),
+  CASE("accelerations_37", &vectors_37, open_accelerations, acceleration_reference, accelerations,
+       lanes_pairs),
+  CASE("point_23", &vectors_23, open_points, point_reference, points, point_pairs),
+  CASE("point_37", &vectors_37, open_points, point_reference, points, point_pairs),
   CASE("rnea_23", &vectors_23, open_vectors, inverse_reference, inverses, inverse_pairs_23),
   CASE("rnea_37", &vectors_37, open_vectors, inverse_reference, inverses, inverse_pairs_37),
   CASE("forward_23", &vectors_23, open_vectors, forward_reference, forwards, forward_pairs),
@@ -642,14 +896,14 @@ const kg_bench_case kg_bench_kernel_cases[BENCH_KERNEL_CASES] = {
   CASE("mass_solve_37", &vectors_37, open_vectors, solve_reference, solves, solve_pairs),
   CASE("mass_matrix_23", &matrices_23, open_matrix, mass_reference, masses, mass_pairs),
   CASE("mass_matrix_37", &matrices_37, open_matrix, mass_reference, masses, mass_pairs),
-  CASE("centroidal_23", &vectors_23, open_momenta, momentum_reference, momenta, momentum_pairs),
-  CASE("centroidal_37", &vectors_37, open_momenta, momentum_reference, momenta, momentum_pairs),
+  CASE("centroidal_23", &vectors_23, open_momenta, momentum_reference, momenta, lanes_pairs),
+  CASE("centroidal_37", &vectors_37, open_momenta, momentum_reference, momenta, lanes_pairs),
   CASE("rnea_derivatives_23", &matrices_23, open_derivatives, derivative_reference, derivatives,
        derivative_pairs_23),
   CASE("rnea_derivatives_37", &matrices_37, open_derivatives, derivative_reference, derivatives,
-       derivative_pairs_37),
+       lanes_pairs),
   CASE("forward_derivatives_23", &matrices_23, open_derivatives, forward_derivative_reference,
-       forward_derivatives, forward_derivative_pairs),
+       forward_derivatives, lanes_pairs),
   CASE("forward_derivatives_37", &matrices_37, open_derivatives, forward_derivative_reference,
-       forward_derivatives, forward_derivative_pairs),
+       forward_derivatives, lanes_pairs),
 };

@@ -182,6 +182,16 @@ void kg_mujoco_mass_matrix(kg_mujoco *s, double *M, const double *q)
   mj_fullM(s->model, M, s->data->qM);
 }
 
+void kg_mujoco_point(kg_mujoco *s, double *J, const double *q, const double point[3])
+{
+  const int body = s->model->nbody - 1;
+  double x[3];
+  set_pose(s, q);
+  mju_rotVecMat(x, point, s->data->xmat + 9 * body);
+  mju_addTo3(x, s->data->xpos + 3 * body);
+  mj_jac(s->model, s->data, J, NULL, x, body);
+}
+
 void kg_mujoco_mass_solve(kg_mujoco *s, double *x, const double *q)
 {
   set_pose(s, q);

@@ -35,6 +35,8 @@ void kg_mujoco_inverse(kg_mujoco *s, double *tau, const double *q, const double 
                        const double *a);
 /* M dense: mj_kinematics, mj_comPos, mj_crb, mj_fullM. */
 void kg_mujoco_mass_matrix(kg_mujoco *s, double *M, const double *q);
+/* J (3 x nv) of a point of the last segment: mj_jac after the stages it builds on */
+void kg_mujoco_point(kg_mujoco *s, double *J, const double *q, const double point[3]);
 /* x := M^-1 x: mj_kinematics, mj_comPos, mj_crb, mj_factorM, mj_solveM. */
 void kg_mujoco_mass_solve(kg_mujoco *s, double *x, const double *q);
 /* a = FD(q, v, tau): the stages of the mass matrix and of mj_rne, one mj_solveM. */

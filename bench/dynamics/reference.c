@@ -258,6 +258,25 @@ kg_status kg_bench_reference_centroidal(const kg_body *body, double *A, const do
   return KG_OK;
 }
 
+kg_status kg_bench_reference_acceleration(const kg_body *body, double *p_ddot, double *alpha,
+                                          const double *q, const double *v, const double *a)
+{
+  arguments x;
+  link *links = calloc((size_t)body->segment_count, sizeof *links);
+  if (!links || !take(&x, body, q, v, a)) {
+    free(links);
+    return KG_ERR_NO_MEMORY;
+  }
+  move_all(links, body, x.q, x.v, x.a, 0.0);
+  for (int k = 0; k < 3 * body->segment_count; k++) {
+    p_ddot[k] = creal(links[k / 3].pp[k % 3]);
+    alpha[k] = creal(links[k / 3].ww[k % 3]);
+  }
+  free(links);
+  free(x.q);
+  return KG_OK;
+}
+
 kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const double *q,
                                      const double *v, const double *a)
 {
@@ -328,6 +347,32 @@ static void lean(number *q, int k, double h)
                                {w - half * y, x - half * z, y + half * w, z + half * x},
                                {w - half * z, x + half * y, y - half * x, z + half * w}};
   memcpy(r, turned[k % 3], sizeof turned[0]);
+}
+
+kg_status kg_bench_reference_point(const kg_body *body, double *J, const double *q, kg_vec3 point)
+{
+  const double h = 1e-40;
+  const number s[3] = {point.x, point.y, point.z};
+  link *links = calloc((size_t)body->segment_count, sizeof *links);
+  kg_status status = links ? KG_OK : KG_ERR_NO_MEMORY;
+  for (int c = 0; c < body->nv && status == KG_OK; c++) {
+    arguments x;
+    number arm[3];
+    if (!take(&x, body, q, NULL, NULL)) {
+      status = KG_ERR_NO_MEMORY;
+      break;
+    }
+    lean(x.q, c, h);
+    move_all(links, body, x.q, x.v, x.a, 0.0);
+    link *last = &links[body->segment_count - 1];
+    rotate(arm, last->R, s);
+    for (int r = 0; r < 3; r++) {
+      J[r * body->nv + c] = cimag(last->p[r] + arm[r]) / h;
+    }
+    free(x.q);
+  }
+  free(links);
+  return status;
 }
 
 kg_status kg_bench_reference_derivatives(const kg_body *body, double *dtau_dq, double *dtau_dv,

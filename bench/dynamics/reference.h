@@ -12,6 +12,11 @@ static const double kg_bench_gravity = 9.8;
 kg_status kg_bench_reference_pose(const kg_body *body, double *p, double *R, const double *q);
 /* A (6 x nv): angular momentum about the centre of mass and linear momentum are A v. */
 kg_status kg_bench_reference_centroidal(const kg_body *body, double *A, const double *q);
+/* p_ddot (3 n), alpha (3 n) in the world, without gravity. */
+kg_status kg_bench_reference_acceleration(const kg_body *body, double *p_ddot, double *alpha,
+                                          const double *q, const double *v, const double *a);
+/* J (3 x nv) of a point of the last segment, by complex steps. */
+kg_status kg_bench_reference_point(const kg_body *body, double *J, const double *q, kg_vec3 point);
 /* tau[nv] = ID(q, v, a) */
 kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const double *q,
                                      const double *v, const double *a);
