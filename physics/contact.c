@@ -5,9 +5,6 @@
  * point, u_t its part along the surface. */
 #include "physics/contact_law.h"
 
-/* The ramp is smoothed where its argument is between -RAMP and RAMP; at rest it is 1. */
-static const double RAMP = 0.1;
-
 kg_contact_params kg_contact_default_params(void)
 {
   const kg_contact_params params = {.layer = 0.006,
@@ -27,40 +24,6 @@ bool kg_contact_params_are_valid(const kg_contact_params *p)
   return law && motion && isfinite(p->layer + p->force + p->damping + p->friction + p->stick);
 }
 
-typedef struct curve {
-  double y, slope;
-} curve;
-
-/* (1), (2) force of a point at rest and its derivative by Phi < layer */
-static curve elastic(const kg_contact_params *p, double phi)
-{
-  const double floor = p->floor_share * p->layer;
-  const double at = fmax(phi, floor);
-  const double d = p->layer - at;
-  const double unit = p->force / p->layer;
-  curve c = {unit * d * d / at, -unit * d * (d + 2.0 * at) / (at * at)};
-  c.y += c.slope * (phi - at); /* the tangent at the floor, below it */
-  return c;
-}
-
-/* (3) max(u, 0), rounded with a parabola between -RAMP and RAMP */
-static curve ramp(double u)
-{
-  if (u >= RAMP) return (curve){u, 1.0};
-  if (u <= -RAMP) return (curve){0.0, 0.0};
-  const double s = u + RAMP;
-  return (curve){s * s / (4.0 * RAMP), s / (2.0 * RAMP)};
-}
-
-/* (1a) force of the soft layer of the ground and its derivative by Phi */
-static curve soft(const kg_contact_params *p, const kg_ground *g, double phi)
-{
-  const double depth = g->thickness + p->layer - phi;
-  if (depth >= p->layer) return (curve){g->stiffness * (depth - 0.5 * p->layer), -g->stiffness};
-  const double unit = g->stiffness / p->layer;
-  return (curve){0.5 * unit * depth * depth, -unit * depth};
-}
-
 double kg_contact_reach(const kg_contact_params *params, const kg_ground *ground)
 {
   return ground ? params->layer + ground->thickness : params->layer;
@@ -69,25 +32,6 @@ double kg_contact_reach(const kg_contact_params *params, const kg_ground *ground
 double kg_contact_friction(const kg_contact_params *params, const kg_ground *ground)
 {
   return ground && ground->friction >= 0.0 ? ground->friction : params->friction;
-}
-
-kg_normal_law kg_contact_normal(const kg_contact_params *params, const kg_ground *ground,
-                                double distance, double speed)
-{
-  kg_normal_law law = {0.0, 0.0, 0.0};
-  if (distance < params->layer) {
-    const curve N = elastic(params, distance);
-    const curve r = ramp(1.0 - params->damping * speed);
-    law = (kg_normal_law){N.y * r.y, N.slope * r.y, -params->damping * N.y * r.slope};
-  }
-  if (ground && distance < kg_contact_reach(params, ground)) {
-    const curve S = soft(params, ground, distance);
-    const curve r = ramp(1.0 - ground->damping * speed);
-    law.force += S.y * r.y;
-    law.by_distance += S.slope * r.y;
-    law.by_speed -= ground->damping * S.y * r.slope;
-  }
-  return law;
 }
 
 /* ---- what acts on a point ----------------------------------------------------------------------*/
@@ -143,22 +87,6 @@ kg_contact_site kg_contact_find(const kg_contact_params *params, const kg_scene 
 
 /* ---- friction and derivatives ------------------------------------------------------------------*/
 
-/* (5) w(u_t) = g(|u_t| / stick) u_t / |u_t| = factor u_t and its derivative factor 1 - bend u_t u_t' */
-typedef struct slip {
-  double factor, bend;
-} slip;
-
-static slip friction_slip(const kg_contact_params *p, kg_vec3 u_t)
-{
-  const double speed = kg_vec3_norm(u_t);
-  if (speed >= p->stick) {
-    const double inverse = 1.0 / speed;
-    return (slip){inverse, inverse * inverse * inverse};
-  }
-  const double inverse = 1.0 / p->stick;
-  return (slip){(2.0 - speed * inverse) * inverse, speed > 0.0 ? inverse * inverse / speed : 0.0};
-}
-
 /* dn/dx of the unit normal: H, and (1 - n n') H / |grad Phi| where the gradient is not a unit vector */
 static kg_mat3 turn_of(const kg_contact_site *s)
 {
@@ -197,7 +125,7 @@ static void differentiate(const kg_contact_params *p, const kg_contact_site *s, 
   const kg_vec3 n = s->value.normal;
   const double speed_n = kg_vec3_dot(n, u);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, n);
-  const slip w = friction_slip(p, u_t);
+  const kg_slip w = kg_slip_at(p, u_t);
   const double push = -N->by_speed, friction = kg_contact_friction(p, s->ground);
   /* direction in which f grows with f_n: n - mu w(u_t); mu f_n dw/du_t = a 1 - b u_t u_t' */
   const kg_vec3 along = bound < 0.0 ? kg_vec3_add_scaled(n, -friction * w.factor, u_t) : n;
@@ -236,7 +164,7 @@ bool kg_contact_evaluate_bounded(const kg_contact_params *params, const kg_scene
   const double speed_n = kg_vec3_dot(n, u);
   const kg_normal_law N = kg_contact_normal(params, s.ground, s.value.distance, speed_n);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, n);
-  const slip w = friction_slip(params, u_t);
+  const kg_slip w = kg_slip_at(params, u_t);
   out->normal = N.force;
   const double mu_fn = kg_contact_friction(params, s.ground) * (bound < 0.0 ? out->normal : bound);
   out->f = kg_vec3_add_scaled(kg_vec3_scale(out->normal, n), -mu_fn * w.factor, u_t); /* (4) */
@@ -289,11 +217,11 @@ void kg_contact_params_vjp(const kg_contact_params *params, const kg_contact_for
   const double speed_n = kg_vec3_dot(c->direction, u);
   const double friction = kg_contact_friction(p, c->ground);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, c->direction);
-  const double factor = friction_slip(p, u_t).factor;
+  const double factor = kg_slip_at(p, u_t).factor;
   const double along = kg_vec3_dot(f_bar, c->direction), across = kg_vec3_dot(f_bar, u_t);
   const double by_normal = along - friction * factor * across;
   if (c->distance < p->layer) {
-    const curve N = elastic(p, c->distance), r = ramp(1.0 - p->damping * speed_n);
+    const kg_curve N = kg_elastic_at(p, c->distance), r = kg_ramp_at(1.0 - p->damping * speed_n);
     double by[3];
     elastic_by_params(p, c->distance, by);
     for (int k = 0; k < 3; k++) {
@@ -302,7 +230,7 @@ void kg_contact_params_vjp(const kg_contact_params *params, const kg_contact_for
     bar[3] -= by_normal * N.y * r.slope * speed_n;
   }
   if (c->ground) {
-    const double r = ramp(1.0 - c->ground->damping * speed_n).y;
+    const double r = kg_ramp_at(1.0 - c->ground->damping * speed_n).y;
     bar[0] += by_normal * r * soft_by_layer(p, c->ground, c->distance);
   }
   if (!(c->ground && c->ground->friction >= 0.0)) {

@@ -23,6 +23,8 @@ kg_small_problem *kg_small_create(const kg_body *body, kg_arena *arena)
   p->blocks = KG_ARENA_ARRAY(arena, int, blocks);
   p->on_path = KG_ARENA_ARRAY(arena, bool, blocks);
   p->candidates = KG_ARENA_ARRAY(arena, kg_candidate, body->point_count);
+  p->lanes =
+    KG_ARENA_ARRAY(arena, kg_candidate_lanes, (body->point_count + KG_LANES - 1) / KG_LANES);
   p->force = KG_ARENA_ARRAY(arena, kg_vec3, body->point_count);
   p->Y = KG_ARENA_ARRAY(arena, double, body->nv *size);
   p->xi = KG_ARENA_ARRAY(arena, double, 6 * blocks * size);
@@ -33,6 +35,7 @@ kg_small_problem *kg_small_create(const kg_body *body, kg_arena *arena)
   p->nu_now = KG_ARENA_ARRAY(arena, kg_motion, n);
   p->K = KG_ARENA_ARRAY(arena, kg_small_block, n);
   p->D = KG_ARENA_ARRAY(arena, kg_small_block, n);
+  p->touching = KG_ARENA_ARRAY(arena, bool, n);
   p->B = KG_ARENA_ARRAY(arena, double, size *size);
   p->h = KG_ARENA_ARRAY(arena, double, size);
   p->rest = KG_ARENA_ARRAY(arena, double, size);
@@ -79,13 +82,14 @@ static void take_slot(kg_step *s, int i)
   }
 }
 
-static void list_group(kg_step *s, int i)
+static void list_group(kg_step *s, int i, const kg_link_height *height)
 {
   kg_small_problem *p = s->small;
   const point_group *g = &s->groups[i];
   const kg_link *l = &s->dynamics->links[i];
   for (int k = g->first; k < g->first + g->count; k++) {
     const int point = s->order[k];
+    if (kg_is_above(height, s->def.body->points[point].p, s->contact.layer + REACH)) continue;
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, s->def.body->points[point].p));
     const kg_contact_site at =
       kg_contact_find(&s->contact, s->def.scene, kg_vec3_add(s->dynamics->origin, x));
@@ -109,14 +113,17 @@ static void list_candidates(kg_step *s)
   memset(p->on_path, 0, (size_t)(n + 1) * sizeof *p->on_path);
   for (int i = 0; i < n; i++) {
     p->slot_of[i] = -1;
-    if (s->def.scene && !kg_step_is_far(s, i, REACH)) {
-      list_group(s, i);
+    if (!s->def.scene || s->groups[i].count == 0) continue;
+    const kg_link_height height = kg_step_link_height(s, i);
+    if (!kg_step_is_far(s, i, &height, REACH)) {
+      list_group(s, i, &height);
     }
   }
   for (int b = 0; b <= n; b++) {
     if (p->on_path[b]) p->blocks[p->block_count++] = b;
   }
   p->stride = (6 * p->slots + 7) / 8 * 8;
+  p->groups = (p->count + KG_LANES - 1) / KG_LANES;
 }
 
 /* ---- linear body -------------------------------------------------------------------------------*/
@@ -291,13 +298,14 @@ static double yield_along(const kg_small_problem *p, const kg_candidate *c, kg_v
   const double *C = p->nu + (p->segment[c->slot] + 1) * 6 * p->stride + 6 * c->slot;
   const kg_vec3 n = kg_vec3_cross(c->trial.x, f);
   const double w[6] = {n.x, n.y, n.z, f.x, f.y, f.z};
-  double sum = 0.0;
+  double row[6] = {0.0}; /* w'C: sums side by side */
   for (int r = 0; r < 6; r++) {
     for (int k = 0; k < 6; k++) {
-      sum += w[r] * C[r * p->stride + k] * w[k];
+      row[k] += w[r] * C[r * p->stride + k];
     }
   }
-  return sum;
+  return row[0] * w[0] + row[1] * w[1] + row[2] * w[2] + row[3] * w[3] + row[4] * w[4] +
+         row[5] * w[5];
 }
 
 static void find_yields(kg_step *s)

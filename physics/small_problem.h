@@ -18,17 +18,27 @@ typedef struct kg_point_state {
 typedef struct kg_candidate {
   int point, slot;
   kg_point_state trial;            /* at the trial v'; f: what the body was linearised with     */
-  kg_point_state now;              /* iterate: x and u follow from all f by the linear body     */
-  kg_point_state old, next;        /* the iterate before; a whole iteration on                  */
-  kg_point_state good;             /* solution of an easier problem                             */
   kg_vec3 normal;                  /* of the ground, at the trial v'                            */
-  kg_vec3 x_law, u_law;            /* where the law is linearised                               */
-  kg_contact_force law;            /* there                                                     */
-  bool touches;                    /* the law is not zero there                                 */
   double yield_n, yield_t;         /* velocity per force of the point alone, m/s per N          */
-  double bound;                    /* of friction over mu, N; < 0: the normal force             */
   double next_bound, change, gain; /* search for the bounds that are normal forces       */
 } kg_candidate;
+
+/* Eight candidates side by side: number k + 8 c is component c of candidate k. Lanes without one are
+ * far from any ground. */
+typedef struct kg_candidate_lanes {
+  double trial[72];          /* x, u, f as in kg_point_state                                    */
+  double now[72];            /* iterate: x and u follow from all f by the linear body           */
+  double old[72], next[72];  /* the iterate before; a whole iteration on                        */
+  double good[72];           /* solution of an easier problem                                   */
+  double ground[88];         /* at `now`: distance, normal, velocity, friction, and the soft
+                                layer's thickness, stiffness, damping, as in kg_contact_site    */
+  double at[48], there[88];  /* where the law is linearised, x and u, and the ground there      */
+  double touches[8], way[8]; /* the law is not zero there; (17) of each                         */
+  double law[24];            /* its force there                                                 */
+  double by_x[72], by_u[72]; /* and derivatives                                                 */
+  double yield[16];          /* yield_n, yield_t                                                */
+  double bound[8];           /* of friction over mu, N; < 0: the normal force                   */
+} kg_candidate_lanes;
 
 /* 6x6, rows of eight numbers, the last two zero */
 typedef struct kg_small_block {
@@ -37,18 +47,21 @@ typedef struct kg_small_block {
 
 typedef struct kg_small_problem {
   int slots, count;
-  int stride;                 /* of rows of 6 * slots numbers, a multiple of 8                  */
-  int *segment;               /* of a slot                                                      */
-  int *slot_of;               /* (n) or -1                                                      */
-  int *blocks, block_count;   /* on the paths to the slots, ascending                           */
-  bool *on_path;              /* (n + 1)                                                        */
-  kg_candidate *candidates;   /* (points)                                                       */
+  int stride;                /* of rows of 6 * slots numbers, a multiple of 8                  */
+  int *segment;              /* of a slot                                                      */
+  int *slot_of;              /* (n) or -1                                                      */
+  int *blocks, block_count;  /* on the paths to the slots, ascending                           */
+  bool *on_path;             /* (n + 1)                                                        */
+  kg_candidate *candidates;  /* (points)                                                       */
+  kg_candidate_lanes *lanes; /* (groups) of the candidates, eight by eight                     */
+  int groups;
   kg_vec3 *force;             /* (points) to linearise with                                     */
   double *Y;                  /* (nv, stride) A^-1 S' of unit wrenches on the slots             */
   double *xi, *nu;            /* (n + 1, 6, stride) what these do: twist, change of velocity    */
   kg_motion *xi0, *nu0;       /* (slots) without any change of wrenches                         */
   kg_motion *xi_now, *nu_now; /* (slots) scratch                                              */
   kg_small_block *K, *D;      /* (slots) (10), (11) of the law                                */
+  bool *touching;             /* (slots) with a point that touches where the law is linearised  */
   double *B;                  /* (6 slots, stride) Jacobian of the small problem                */
   double *h;                  /* (6 slots) change of the wrenches                               */
   double *rest;               /* (6 slots) scratch                                              */
@@ -62,7 +75,8 @@ kg_small_problem *kg_small_create(const kg_body *body, kg_arena *arena);
 
 /* ---- small_body.c ---- */
 
-/* Forces to start from: those at (q, v) of the step. Leaves the links there. */
+/* Forces to start from: those at (q, v) of the step. Leaves the links there; after
+ * kg_step_set_scale. */
 void kg_small_begin(kg_step *s);
 /* Lists slots and candidates about x, where the step must be evaluated, and linearises the body there
  * with the forces p->force; s->J holds the factors, rhs[nv] the right-hand side without h. False:

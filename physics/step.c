@@ -16,7 +16,7 @@ enum {
 static const double ARMIJO = 1e-4;
 static const double FIRST_DAMPING = 0.5;
 static const double CHORD_RATE = 10.0; /* in contact, over the last iteration's */
-static const double MOST_TURN = 0.4; /* rad, of a joint within an iteration */
+static const double MOST_TURN = 0.4;   /* rad, of a joint within an iteration */
 
 kg_step_def kg_step_default_def(const kg_body *body)
 {
@@ -198,9 +198,6 @@ static double iterate(kg_step *s, double *x, kg_step_report *report)
   double m = residual_at(s, x), best = INFINITY;
   double damping = 0.0;
   int stalled = 0, bounded = 0;
-  if (m > s->def.tolerance && s->def.scene) {
-    kg_small_begin(s);
-  }
   for (int k = 0; isfinite(m); k++) {
     stalled = m < best ? 0 : stalled + 1;
     if (m < best) {
@@ -223,16 +220,27 @@ static double iterate(kg_step *s, double *x, kg_step_report *report)
   return best;
 }
 
+/* The links at q, the scale of the residual and the forces to start from, before x is looked at: one
+ * pose serves both. */
+static void begin(kg_step *s)
+{
+  kg_step_set_scale(s);
+  if (s->def.scene) {
+    kg_small_begin(s);
+  }
+}
+
 /* One step from (q, v) into (q_end, x); x: starting guess in. */
 static bool solve_once(kg_step *s, const double *q, const double *v, double dt, double *x,
                        kg_step_report *report, double *worst)
 {
   kg_step_set_problem(s, q, v, s->tau, dt);
-  kg_step_set_scale(s);
+  begin(s);
   const bool guessed = memcmp(x, v, (size_t)s->def.body->nv * sizeof *x) != 0;
   double m = iterate(s, x, report);
   if (!(m <= s->def.tolerance) && guessed) { /* a guess may be worse than none */
     memcpy(x, v, (size_t)s->def.body->nv * sizeof *x);
+    begin(s);
     m = iterate(s, x, report);
   }
   *worst = fmax(*worst, m);

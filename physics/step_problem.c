@@ -70,7 +70,17 @@ void kg_step_refresh(kg_step *step)
 
 /* ---- contact ----------------------------------------------------------------------------------*/
 
-static void collide_group(kg_step *s, int i)
+kg_link_height kg_step_link_height(const kg_step *s, int i)
+{
+  const kg_link *l = &s->dynamics->links[i];
+  const kg_sdf_shape *plane = kg_only_plane(s->def.scene);
+  if (!plane) return (kg_link_height){-INFINITY, {0.0, 0.0, 0.0}};
+  const kg_vec3 p = kg_vec3_add(s->dynamics->origin, l->p);
+  return (kg_link_height){kg_vec3_dot(plane->b, kg_vec3_sub(p, plane->a)),
+                          kg_mat3_mul_vec_t(l->R, plane->b)};
+}
+
+static void collide_group(kg_step *s, int i, const kg_link_height *height)
 {
   const kg_body *body = s->def.body;
   const kg_vec3 O = s->dynamics->origin;
@@ -78,6 +88,7 @@ static void collide_group(kg_step *s, int i)
   kg_link *l = &s->dynamics->links[i];
   for (int k = g->first; k < g->first + g->count; k++) {
     const int point = s->order[k];
+    if (kg_is_above(height, body->points[point].p, s->contact.layer)) continue;
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, body->points[point].p));
     kg_step_contact *c = &s->contacts[s->contact_count];
     c->x = kg_vec3_add(O, x);
@@ -91,11 +102,13 @@ static void collide_group(kg_step *s, int i)
   }
 }
 
-bool kg_step_is_far(const kg_step *s, int i, double margin)
+bool kg_step_is_far(const kg_step *s, int i, const kg_link_height *height, double margin)
 {
   const point_group *g = &s->groups[i];
   const kg_link *l = &s->dynamics->links[i];
-  if (g->count == 0) return true;
+  if (kg_only_plane(s->def.scene)) {
+    return kg_is_above(height, g->centre, g->radius + s->contact.layer + margin);
+  }
   const kg_vec3 centre = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, g->centre));
   const double way = kg_scene_surface(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
   /* Phi changes by no more than the distance moved */
@@ -108,8 +121,10 @@ static void collide(kg_step *s)
   s->contact_count = 0;
   for (int i = 0; i < s->dynamics->n; i++) {
     s->dynamics->links[i].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
-    if (s->def.scene && !kg_step_is_far(s, i, 0.0)) {
-      collide_group(s, i);
+    if (!s->def.scene || s->groups[i].count == 0) continue;
+    const kg_link_height height = kg_step_link_height(s, i);
+    if (!kg_step_is_far(s, i, &height, 0.0)) {
+      collide_group(s, i, &height);
     }
   }
 }
@@ -172,6 +187,7 @@ void kg_step_set_problem(kg_step *s, const double *q, const double *v, const dou
 /* diag(M(q))^-1/2 dt */
 void kg_step_set_scale(kg_step *s)
 {
+  s->evaluated = false;
   kg_links_pose(s->dynamics, s->q);
   kg_links_mass_diagonal(s->dynamics, s->scale);
   for (int k = 0; k < s->def.body->nv; k++) {
@@ -214,11 +230,9 @@ static void add_passive(const kg_step *s, double *G)
   }
 }
 
-/* Contact list and links at the start of the step. */
 void kg_step_evaluate_start(kg_step *s)
 {
   s->evaluated = false;
-  kg_links_pose(s->dynamics, s->q);
   kg_links_velocity(s->dynamics, s->v);
   collide(s);
 }
@@ -325,9 +339,12 @@ void kg_step_ensure_evaluated(kg_step *s, const double *x)
 /* |diag(M)^-1/2 G dt|, dynamics (19) */
 double kg_step_merit(const kg_step *s, const double *G)
 {
-  double sum = 0.0;
-  for (int k = 0; k < s->def.body->nv; k++) {
-    sum += s->scale[k] * G[k] * s->scale[k] * G[k];
+  double sum[3] = {0.0, 0.0, 0.0}; /* side by side: one would wait for itself */
+  for (int k = 0; k < s->def.body->nv; k += 3) {
+    for (int c = 0; c < 3; c++) {
+      const double r = s->scale[k + c] * G[k + c];
+      sum[c] += r * r;
+    }
   }
-  return sqrt(sum);
+  return sqrt(sum[0] + sum[1] + sum[2]);
 }

@@ -50,7 +50,7 @@ void kg_step_group_points(kg_step *s);
 /* The step to be solved; the arrays are borrowed. */
 void kg_step_set_problem(kg_step *s, const double *q, const double *v, const double *tau,
                          double dt);
-/* diag(M(q))^-1/2 dt */
+/* diag(M(q))^-1/2 dt; leaves the links at the pose q. */
 void kg_step_set_scale(kg_step *s);
 /* |diag(M)^-1/2 G dt|, (19) */
 double kg_step_merit(const kg_step *s, const double *G);
@@ -59,7 +59,7 @@ double kg_step_merit(const kg_step *s, const double *G);
 bool kg_step_evaluate(double *G, const double *v_end, void *user);
 /* Evaluates at x unless that is where the links are. */
 void kg_step_ensure_evaluated(kg_step *s, const double *x);
-/* Contact list and links at (q, v), the start of the step. */
+/* Contact list and links at (q, v), the start of the step; after kg_step_set_scale. */
 void kg_step_evaluate_start(kg_step *s);
 /* The same at the point of the last evaluation for whatever external forces the links now have. */
 void kg_step_project(kg_step *s, double *G);
@@ -79,9 +79,32 @@ kg_mat3 kg_step_turn_by_rate(const kg_step *s, int b);
 bool kg_step_trace(kg_step *s, const double *q, const double *v, const double *tau, double dt,
                    int substeps);
 
+/* Distances of the points of a link from the ground, where a plane is all of the scene; a lower bound
+ * elsewhere: above + across . p for the point p in the link's axes. */
+typedef struct kg_link_height {
+  double above;
+  kg_vec3 across;
+} kg_link_height;
+
+kg_link_height kg_step_link_height(const kg_step *s, int i);
+/* The point is farther than `distance` from the ground for sure. */
+static inline bool kg_is_above(const kg_link_height *h, kg_vec3 p, double distance)
+{
+  const double rounding = 1e-9; /* m */
+  return h->above + kg_vec3_dot(h->across, p) > distance + rounding;
+}
+
+/* The one plane, hard and at rest, that is all of the scene, or NULL. */
+static inline const kg_sdf_shape *kg_only_plane(const kg_scene *scene)
+{
+  const kg_sdf_shape *shape = &scene->shapes[0];
+  const bool is_plane = scene->shape_count == 1 && shape->kind == KG_SHAPE_PLANE;
+  return is_plane && shape->place == 0 && shape->ground == 0 && shape->offset == 0.0 ? shape : NULL;
+}
+
 /* No point of segment i is within the layer or `margin` beyond it, as far as the ball around all of
- * them tells. */
-bool kg_step_is_far(const kg_step *s, int i, double margin);
+ * them tells; it has points. */
+bool kg_step_is_far(const kg_step *s, int i, const kg_link_height *height, double margin);
 
 /* Velocity of the point x (relative to O) of a segment. */
 static inline kg_vec3 kg_point_velocity(const kg_link *l, kg_vec3 x)

@@ -276,6 +276,151 @@ static void bounded_friction_is_the_law_where_the_bound_is_the_normal_force(void
   }
 }
 
+enum { L = KG_LANES };
+
+/* Everything a group of candidates has, to compare levels bit for bit. */
+typedef struct law_lanes {
+  double state[9 * L], ground[11 * L], yield[2 * L], bound[L], touches[L]; /* in */
+  double f[3 * L], by_x[9 * L], by_u[9 * L], linear[3 * L];                /* out */
+  double at[6 * L], settled[L], way[L];
+} law_lanes;
+
+static kg_vec3 lane3(const double *lanes, int k)
+{
+  return kg_vec3_make(lanes[k], lanes[L + k], lanes[2 * L + k]);
+}
+
+/* In and above the layer and below the floor of the law, sticking and sliding; the last three lanes
+ * have a bound, and the last does not touch. */
+static law_lanes lanes_near(kg_random *random, const kg_contact_params *params,
+                            const kg_scene *scene, kg_vec3 normal)
+{
+  law_lanes l = {.bound = {0.0}};
+  for (int k = 0; k < L; k++) {
+    const double height = params->layer * (2.2 * kg_random_uniform(random) - 0.2);
+    const kg_vec3 beside = random_vec3(random, 0.5);
+    const kg_vec3 x = kg_vec3_add_scaled(beside, height - kg_vec3_dot(beside, normal), normal);
+    const kg_vec3 u = random_vec3(random, k % 2 ? 1e-4 : 0.3), f = random_vec3(random, 100.0);
+    const double numbers[9] = {x.x, x.y, x.z, u.x, u.y, u.z, f.x, f.y, f.z};
+    for (int c = 0; c < 9; c++) {
+      l.state[c * L + k] = numbers[c];
+    }
+    l.yield[k] = 1e-3 * (0.1 + kg_random_uniform(random));
+    l.yield[L + k] = 1e-3 * (0.1 + kg_random_uniform(random));
+    l.bound[k] = k < 5 ? -1.0 : 300.0 * kg_random_uniform(random);
+    l.touches[k] = k < 7 ? 1.0 : 0.0;
+    const kg_contact_site site = kg_contact_find(params, scene, x);
+    const kg_ground *soft = site.ground;
+    const double rest[7] = {site.velocity.x,
+                            site.velocity.y,
+                            site.velocity.z,
+                            kg_contact_friction(params, soft),
+                            soft ? soft->thickness : 0.0,
+                            soft ? soft->stiffness : 0.0,
+                            soft ? soft->damping : 0.0};
+    for (int c = 0; c < 7; c++) {
+      l.ground[(4 + c) * L + k] = rest[c];
+    }
+  }
+  return l;
+}
+
+static void run_lanes(const kg_physics_kernels *kernels, const kg_contact_params *params, double dt,
+                      kg_vec3 normal, law_lanes *l)
+{
+  const double *u = l->state + 3 * L;
+  kernels->plane_ground(l->ground, l->state, kg_vec3_make(0.0, 0.0, 0.0), normal);
+  kernels->law_forces(params, l->ground, u, l->bound, l->f);
+  kernels->law_derivatives(params, l->ground, u, l->bound, l->touches, l->by_x, l->by_u);
+  kernels->settle_points(params, dt, l->state, l->ground, l->yield, l->bound, l->at, l->settled,
+                         l->way);
+  kernels->linear_forces(l->linear, l->f, l->by_x, l->by_u, l->state, l->at);
+}
+
+/* Force, derivatives and linear law of lane k are those of the point alone. */
+static void compare_lane(const kg_contact_params *params, const kg_scene *scene, const law_lanes *l,
+                         int k)
+{
+  kg_contact_force one;
+  const kg_vec3 x = lane3(l->state, k), u = lane3(l->state + 3 * L, k);
+  (void)kg_contact_evaluate_bounded(params, scene, x, u, l->bound[k], true, &one);
+  kg_vec3 linear = one.f;
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(lane3(l->f, k), one.f)), 1e-9 * (1.0 + one.normal));
+  const double on = l->touches[k];
+  const kg_mat3 by_x = kg_mat3_scale(on, one.df_dx), by_u = kg_mat3_scale(on, one.df_du);
+  double size[2] = {0.0, 0.0};
+  for (int c = 0; c < 9; c++) {
+    size[0] = fmax(size[0], fabs(by_x.m[c]));
+    size[1] = fmax(size[1], fabs(by_u.m[c]));
+  }
+  for (int c = 0; c < 9; c++) {
+    assert_close(l->by_x[c * L + k], by_x.m[c], 1e-9 * (1.0 + size[0]));
+    assert_close(l->by_u[c * L + k], by_u.m[c], 1e-9 * (1.0 + size[1]));
+  }
+  const kg_vec3 dx = kg_vec3_sub(lane3(l->at, k), x), du = kg_vec3_sub(lane3(l->at + 3 * L, k), u);
+  linear = kg_vec3_add(linear, kg_vec3_add(kg_mat3_mul_vec(by_x, dx), kg_mat3_mul_vec(by_u, du)));
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(lane3(l->linear, k), linear)),
+                 1e-9 * (1.0 + one.normal + size[0] + size[1]));
+}
+
+/* (16): the point goes by dt y, y of what the law's force there is more than the force it had. */
+static void lane_is_settled(const kg_contact_params *params, const kg_scene *scene, kg_vec3 n,
+                            double dt, const law_lanes *l, int k)
+{
+  kg_contact_force there;
+  const kg_vec3 x = lane3(l->state, k), u = lane3(l->state + 3 * L, k),
+                f = lane3(l->state + 6 * L, k);
+  const kg_vec3 x_at = lane3(l->at, k), u_at = lane3(l->at + 3 * L, k);
+  const bool touches =
+    kg_contact_evaluate_bounded(params, scene, x_at, u_at, l->bound[k], false, &there);
+  assert_true((l->settled[k] > 0.0) == (touches && there.normal > 0.0));
+  /* a bound holds only a point that touches */
+  const kg_vec3 change = kg_vec3_sub(there.normal > 0.0 ? there.f : kg_vec3_make(0, 0, 0), f);
+  const double along = kg_vec3_dot(change, n);
+  const kg_vec3 across = kg_vec3_add_scaled(change, -along, n);
+  const kg_vec3 faster =
+    kg_vec3_add(kg_vec3_scale(l->yield[k] * along, n), kg_vec3_scale(l->yield[L + k], across));
+  const double way = dt * kg_vec3_dot(change, faster);
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(kg_vec3_sub(u_at, u), faster)), 1e-7);
+  assert_at_most(kg_vec3_norm(kg_vec3_sub(kg_vec3_sub(x_at, x), kg_vec3_scale(dt, faster))), 1e-9);
+  assert_close(l->way[k], way, 1e-6 * (1.0 + way));
+}
+
+static void lanes_hold_the_law_of_each_point_at_every_level(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(79);
+  const kg_contact_params params = kg_contact_default_params();
+  const double dt = 1.0 / 120.0;
+  const kg_ground mat = {.thickness = 0.004, .stiffness = 2e4, .damping = 0.7, .friction = 0.6};
+  const kg_place moving = {.turn = {1.0, 0.0, 0.0, 0.0}, .velocity = {0.2, -0.1, 0.3}};
+  int settled = 0;
+  for (int trial = 0; trial < 50; trial++) {
+    const kg_vec3 normal = kg_vec3_normalized(random_vec3(&random, 1.0));
+    kg_scene scene = kg_scene_ground(0.0, normal);
+    if (trial % 2) { /* soft, and on its way */
+      scene.shapes[0].ground = kg_scene_add_ground(&scene, &mat);
+      scene.shapes[0].place = kg_scene_add_place(&scene, &moving);
+    }
+    const law_lanes in = lanes_near(&random, &params, &scene, normal);
+    law_lanes first = in;
+    run_lanes(kg_physics_kernels_of_level(1), &params, dt, normal, &first);
+    for (int k = 0; k < L; k++) {
+      compare_lane(&params, &scene, &first, k);
+      lane_is_settled(&params, &scene, normal, dt, &first, k);
+      settled += first.settled[k] > 0.0;
+    }
+    for (int level = 2; level <= 3; level++) {
+      const kg_physics_kernels *kernels = kg_physics_kernels_of_level(level);
+      if (!kernels) continue;
+      law_lanes other = in;
+      run_lanes(kernels, &params, dt, normal, &other);
+      assert_memory_equal(&other, &first, sizeof other);
+    }
+  }
+  assert_in_range(settled, 100, 50 * L - 50);
+}
+
 /* The force is the negative slope of a convex function of u: its derivative is symmetric and does not
  * push, and it agrees with differences. The same for the normal law's derivatives. */
 static void bounded_friction_has_a_convex_potential(void **state)
@@ -356,7 +501,7 @@ static void the_end_is_quadratic(void **state)
   def.joint_damping = 5.0;
   int pairs = 0;
   double worst = 0.0;
-  for (int trial = 0; trial < 40; trial++) {
+  for (int trial = 0; trial < 100; trial++) {
     double q[MAX_NQ], v[MAX_NV], tau[MAX_NV], last = INFINITY;
     kg_step_report report;
     shaken_state(&random, body, q, v, tau);
@@ -524,6 +669,7 @@ int main(void)
     cmocka_unit_test(contact_rows_are_the_change_of_the_wrench),
     cmocka_unit_test(compliance_is_how_points_answer_wrenches),
     cmocka_unit_test(bounded_friction_is_the_law_where_the_bound_is_the_normal_force),
+    cmocka_unit_test(lanes_hold_the_law_of_each_point_at_every_level),
     cmocka_unit_test(bounded_friction_has_a_convex_potential),
     cmocka_unit_test(the_end_is_quadratic),
     cmocka_unit_test(the_best_iterate_is_kept),

@@ -1,11 +1,16 @@
 /* All kernels of physics/ for one instruction set (KG_ISA) and their table. */
 #include "physics/kernels/kernels.h"
 
+#include "physics/contact_law.h"
+
 #include "physics/kernels/rows.h"
+
+#include <math.h>
 
 #include "physics/kernels/factor.inc"
 #include "physics/kernels/jacobian.inc"
 #include "physics/kernels/lanes.inc"
+#include "physics/kernels/law.inc"
 #include "physics/kernels/links.inc"
 #ifdef KG_ROW4_IS_VECTOR
 #include "physics/kernels/inverse_rows.inc"
@@ -46,6 +51,11 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .add_contact = add_contact,
   .add_rows = add_rows,
   .solve_dense = solve_dense,
+  .plane_ground = plane_ground,
+  .settle_points = settle_points,
+  .law_forces = law_forces,
+  .law_derivatives = law_derivatives,
+  .linear_forces = linear_forces,
   .one = &KG_NUMBER_TABLE(1, KG_ISA),
   .eight = &KG_NUMBER_TABLE(8, KG_ISA),
 };

@@ -3,9 +3,14 @@
 #ifndef PHYSICS_KERNELS_KERNELS_H
 #define PHYSICS_KERNELS_KERNELS_H
 
+#include "kinegrad/contact.h"
+
 #include "physics/tree.h"
 
 #include <stddef.h>
+
+/* Candidates of the small problem side by side. */
+enum { KG_LANES = 8 };
 
 /* What the recursive algorithms read of a link; lengths and moments in its own axes, about its own
  * joint. */
@@ -101,6 +106,22 @@ struct kg_physics_kernels {
                       const double F_x[9], const double F_u[9]);
   void (*add_rows)(double *y, const double *C, const double *h, int stride);
   bool (*solve_dense)(double *B, int n, int stride, double *x);
+  /* a group of KG_LANES candidates, see law.inc */
+  void (*plane_ground)(double *restrict ground, const double *restrict x, kg_vec3 point,
+                       kg_vec3 normal);
+  void (*settle_points)(const kg_contact_params *law, double dt, const double *restrict now,
+                        const double *restrict ground, const double *restrict yield,
+                        const double *restrict bound, double *restrict at, double *restrict touches,
+                        double *restrict way);
+  void (*law_forces)(const kg_contact_params *law, const double *restrict ground,
+                     const double *restrict u, const double *restrict bound, double *restrict f);
+  void (*law_derivatives)(const kg_contact_params *law, const double *restrict ground,
+                          const double *restrict u, const double *restrict bound,
+                          const double *restrict touches, double *restrict by_x,
+                          double *restrict by_u);
+  void (*linear_forces)(double *restrict f, const double *restrict law, const double *restrict by_x,
+                        const double *restrict by_u, const double *restrict at,
+                        const double *restrict state);
   const kg_number_kernels *one;
   const kg_number_kernels *eight;
 };

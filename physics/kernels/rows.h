@@ -156,6 +156,19 @@ static inline row4 row4_load3(const double *p)
 #endif
 }
 
+/* Six numbers and two zeros. */
+static inline row8 row8_make6(double a, double b, double c, double d, double e, double f)
+{
+#if defined(KG_ROW8_IS_VECTOR)
+  return (row8){a, b, c, d, e, f, 0.0, 0.0}; /* not through memory, as above */
+#elif defined(KG_ROW4_IS_VECTOR)
+  return (row8){{a, b, c, d}, {e, f, 0.0, 0.0}};
+#else
+  const double eight[8] = {a, b, c, d, e, f, 0.0, 0.0};
+  return row8_load(eight);
+#endif
+}
+
 /* The first three numbers alone. */
 static inline void row4_store3(double *p, row4 a)
 {
