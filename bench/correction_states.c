@@ -33,22 +33,26 @@ enum {
 static double role_limit(int role)
 {
   switch (role) {
-  case KG_ROLE_L_SHOULDER:
-  case KG_ROLE_R_SHOULDER:
-  case KG_ROLE_L_ELBOW:
-  case KG_ROLE_R_ELBOW:
-  case KG_ROLE_L_HIP:
-  case KG_ROLE_R_HIP:
-  case KG_ROLE_L_KNEE:
-  case KG_ROLE_R_KNEE: return 1.0;
-  case KG_ROLE_L_WRIST:
-  case KG_ROLE_R_WRIST:
-  case KG_ROLE_L_ANKLE:
-  case KG_ROLE_R_ANKLE: return 0.5;
-  case KG_ROLE_HEAD:
-  case KG_ROLE_L_TOE:
-  case KG_ROLE_R_TOE: return 0.35;
-  default: return 0.2;
+    case KG_ROLE_L_SHOULDER:
+    case KG_ROLE_R_SHOULDER:
+    case KG_ROLE_L_ELBOW:
+    case KG_ROLE_R_ELBOW:
+    case KG_ROLE_L_HIP:
+    case KG_ROLE_R_HIP:
+    case KG_ROLE_L_KNEE:
+    case KG_ROLE_R_KNEE:
+      return 1.0;
+    case KG_ROLE_L_WRIST:
+    case KG_ROLE_R_WRIST:
+    case KG_ROLE_L_ANKLE:
+    case KG_ROLE_R_ANKLE:
+      return 0.5;
+    case KG_ROLE_HEAD:
+    case KG_ROLE_L_TOE:
+    case KG_ROLE_R_TOE:
+      return 0.35;
+    default:
+      return 0.2;
   }
 }
 
@@ -109,8 +113,8 @@ static kg_mesh *make_hills(void)
 
 static kg_vec3 random_direction(kg_random *random)
 {
-  return kg_vec3_normalized(kg_vec3_make(kg_random_normal(random), kg_random_normal(random),
-                                         kg_random_normal(random)));
+  return kg_vec3_normalized(
+    kg_vec3_make(kg_random_normal(random), kg_random_normal(random), kg_random_normal(random)));
 }
 
 static void set_quat(double *q, int segment, kg_quat r)
@@ -119,8 +123,8 @@ static void set_quat(double *q, int segment, kg_quat r)
   memcpy(q + 3 + 4 * segment, numbers, sizeof numbers);
 }
 
-static void random_pose(kg_random *random, const kg_body *body, kg_correction *probe, double deepest,
-                        double *q)
+static void random_pose(kg_random *random, const kg_body *body, kg_correction *probe,
+                        double deepest, double *q)
 {
   set_quat(q, 0,
            kg_quat_normalized(kg_quat_make(kg_random_normal(random), kg_random_normal(random),
@@ -213,9 +217,10 @@ static void run_method(experiment *e, kg_correction_method method)
     in_depth[third]++;
   }
   const double shallow = by_depth[0] / fmax(1, in_depth[0]),
-               middle = by_depth[1] / fmax(1, in_depth[1]), deep = by_depth[2] / fmax(1, in_depth[2]);
-  printf("%-6s %-12s %8.2f%% %9.1e %5.0f %5.0f %5.0f  %5.1f %5.1f %5.1f %10.2e %7.3f %7.3f\n", e->name,
-         method == KG_CORRECTION_GRADIENT ? "Eq. 11, safe" : "second order",
+               middle = by_depth[1] / fmax(1, in_depth[1]),
+               deep = by_depth[2] / fmax(1, in_depth[2]);
+  printf("%-6s %-12s %8.2f%% %9.1e %5.0f %5.0f %5.0f  %5.1f %5.1f %5.1f %10.2e %7.3f %7.3f\n",
+         e->name, method == KG_CORRECTION_GRADIENT ? "Eq. 11, safe" : "second order",
          100.0 * converged / e->count, worst, quantile(iterations, e->count, 0.5),
          quantile(iterations, e->count, 0.95), quantile(iterations, e->count, 1.0), shallow, middle,
          deep, quantile(gap, e->count, 1.0), quantile(ms, e->count, 0.5),
@@ -287,9 +292,9 @@ static void run_printed(experiment *e)
     if (kg_dynamics_create(&dynamics, body, NULL) != KG_OK) exit(1);
     double lowest = INFINITY;
     for (int p = 0; p < body->point_count; p++) {
-      lowest = fmin(lowest, kg_scene_distance(e->scene, kg_dynamics_point(dynamics, NULL, q,
-                                                                          body->points[p]))
-                              .distance);
+      lowest = fmin(
+        lowest, kg_scene_distance(e->scene, kg_dynamics_point(dynamics, NULL, q, body->points[p]))
+                  .distance);
     }
     kg_dynamics_destroy(dynamics);
     gap[n] = fmax(lowest, 0.0);
@@ -329,9 +334,10 @@ static void make_poses(experiment *e, uint64_t seed, double deepest)
 
 static void run(const kg_body *body, experiment e[2], uint64_t seed, double deepest)
 {
-  static const char *const head =
-    "\nscene  method       converged     depth  iterations       mean by depth      highest        ms\n"
-    "                                         left   med   95%   max   <.1m  <.2m <.3m   lowest p     med     95%\n";
+  static const char *const head = "\nscene  method       converged     depth  iterations       "
+                                  "mean by depth      highest        ms\n"
+                                  "                                         left   med   95%   max "
+                                  "  <.1m  <.2m <.3m   lowest p     med     95%\n";
   for (int k = 0; k < 2; k++) {
     const size_t n = (size_t)e[k].count;
     e[k].body = body;
@@ -348,12 +354,14 @@ static void run(const kg_body *body, experiment e[2], uint64_t seed, double deep
     for (int k = 0; k < 2; k++) {
       run_method(&e[k], (kg_correction_method)method);
       if (e[k].ceres_count > 0) {
-        printf("  length over Ceres' (from the answer; from no move; the shorter): <= 1.05, median, max\n");
+        printf("  length over Ceres' (from the answer; from no move; the shorter): <= 1.05, "
+               "median, max\n");
         run_ceres(&e[k], (kg_correction_method)method);
       }
     }
   }
-  printf("\nEq. 11 as printed\nscene   poses    ended   steps     95%%  thrown out  gap med, m       95%%       max  gap/depth\n");
+  printf("\nEq. 11 as printed\nscene   poses    ended   steps     95%%  thrown out  gap med, m     "
+         "  95%%       max  gap/depth\n");
   for (int k = 0; k < 2 && e[k].printed_count > 0; k++) {
     run_printed(&e[k]);
   }
@@ -412,8 +420,9 @@ int main(int argc, char **argv)
       e[k].ceres_count = ceres_count < count ? ceres_count : count;
       e[k].printed_count = printed_count < count ? printed_count : count;
     }
-    printf("%d poses up to %g m deep, seed %llu, body of %d segments and %d points\n", count, deepest,
-           (unsigned long long)seed, subject->body->segment_count, subject->body->point_count);
+    printf("%d poses up to %g m deep, seed %llu, body of %d segments and %d points\n", count,
+           deepest, (unsigned long long)seed, subject->body->segment_count,
+           subject->body->point_count);
     run(subject->body, e, seed, deepest);
   } else {
     fprintf(stderr, "correction_states: %s: %s %s\n", path, kg_status_text(status), error.text);

@@ -69,8 +69,7 @@ static void measure(least_reference *r, const double *D)
   kg_dynamics_pose(r->dynamics, r->q, r->p, r->R);
   for (int k = 0; k < r->body->point_count; k++) {
     const kg_body_point *point = &r->body->points[k];
-    r->x[k] =
-      kg_vec3_add(r->p[point->segment], kg_mat3_mul_vec(r->R[point->segment], point->p));
+    r->x[k] = kg_vec3_add(r->p[point->segment], kg_mat3_mul_vec(r->R[point->segment], point->p));
     const kg_sdf_value v = kg_scene_distance(r->scene, r->x[k]);
     r->phi[k] = v.distance;
     r->normal[k] = v.normal;
@@ -110,8 +109,7 @@ static void constraint_row(least_reference *r, int k, const double *D)
   }
   for (int i = 3; i < nv; i += 3) {
     const kg_mat3 Jr = kg_so3_right_jacobian(kg_vec3_make(D[i], D[i + 1], D[i + 2]));
-    const kg_vec3 g =
-      kg_mat3_mul_vec_t(Jr, kg_vec3_make(r->row[i], r->row[i + 1], r->row[i + 2]));
+    const kg_vec3 g = kg_mat3_mul_vec_t(Jr, kg_vec3_make(r->row[i], r->row[i + 1], r->row[i + 2]));
     r->row[i] = g.x;
     r->row[i + 1] = g.y;
     r->row[i + 2] = g.z;

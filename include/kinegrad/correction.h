@@ -35,6 +35,8 @@ typedef struct kg_correction_def {
   double tolerance;              /* m, on d_pen; default 1e-5                    */
   double eta;                    /* of Eq. 11, an upper limit; default 0.1       */
   int max_iterations;            /* of the gradient; default 200                 */
+  double kkt_tolerance;          /* kg^1/2 m: the conditions of the least move hold to it, and D is
+                                    differentiable; default 0: within a few percent of the least */
   const kg_allocator *allocator;
 } kg_correction_def;
 
@@ -46,6 +48,7 @@ typedef struct kg_correction_report {
   double displacement;     /* sqrt(d' M d) of the whole move, kg^1/2 m             */
   double lowest;           /* smallest Phi at the end, m                           */
   int contact_count;       /* points that touch after the push                     */
+  double kkt_residual;     /* of the least move, kg^1/2 m; NaN unless asked for    */
 } kg_correction_report;
 
 typedef struct kg_correction kg_correction; /* one per thread */

@@ -1,0 +1,133 @@
+/* Inside physics/: a pose that is moved out of what it touches (kinegrad/correction.h). correction.c
+ * has the calls and their order, correction_pose.c what is touched and its derivatives,
+ * correction_gradient.c Eq. 11, correction_least.c the least move.
+ *
+ *   q0, q    pose at the start and now, q = q0 (+) D
+ *   x_t      sample point of touch t in the world      Phi_t, n_t, H_t   distance and derivatives
+ *   M        mass matrix at q0, M = L L'               m                 total mass
+ *   g_t      = d Phi_t / d(tangent) = J_t' n_t
+ *
+ * Equation numbers: docs/theory/sdf.md. */
+#ifndef PHYSICS_CORRECTION_H
+#define PHYSICS_CORRECTION_H
+
+#include "kinegrad/arena.h"
+#include "kinegrad/correction.h"
+#include "physics/physics.h"
+#include "solver/least_move.h"
+
+enum { CORRECTION_ROWS_MAX = 256 };
+
+/* Points nearer than this (m) and this share of the first depth take part in a step, beside those
+ * inside: while the body comes out others can go in. */
+#define CORRECTION_NEAR 5e-3
+#define CORRECTION_NEAR_SHARE 0.5
+/* A step turns no joint and moves the root by no more (rad, m). */
+#define CORRECTION_STEP_MAX 1.5
+/* A pose counts as touching when its lowest point is nearer than this (m). */
+#define CORRECTION_GAP_MAX 1e-4
+/* A linearised constraint may be missed by this much (m; m/s for velocities). */
+#define CORRECTION_ROW_TOLERANCE 1e-9
+
+/* A point that is inside or near. */
+typedef struct touch {
+  int point;
+  kg_vec3 x;
+  kg_sdf_value at;
+} touch;
+
+/* A ball around the points of a segment, and what it says of them. */
+typedef struct segment_ball {
+  int segment;
+  int first, count; /* of its points in points_by_segment */
+  kg_vec3 center;   /* in the segment frame                */
+  double radius;
+  double bound; /* no point of the segment is nearer  */
+} segment_ball;
+
+struct kg_correction {
+  kg_correction_def def;
+  kg_arena arena;
+  kg_dynamics *dynamics;
+  int nv, point_count;
+
+  segment_ball *balls; /* (ball_count), nearest first at the pose sampled */
+  int ball_count;
+  int *points_by_segment; /* (points) */
+
+  /* the last pose sampled */
+  kg_vec3 *p;     /* (n) joints                   */
+  kg_mat3 *R;     /* (n) rotations                */
+  kg_mat3 *Jr;    /* (n) right Jacobians at D     */
+  touch *touches; /* (points) those nearer than d_pen + near, and a few more */
+  int touch_count;
+  double near; /* points further than d_pen + near are no touches */
+  double d_pen, sum_depth, L_coll, lowest;
+
+  /* the move */
+  double *q0, *q_now, *q_from;         /* (nq)                                   */
+  double *D, *D_trial, *D_best, *goal; /* (nv) moves from q0             */
+  double *gradient, *slope;            /* (nv) grad L_coll; direction of descent   */
+  double *chol;                        /* (nv, nv) L of M at q0                    */
+  double *M;                           /* (nv, nv)                                 */
+
+  /* the linearised constraints */
+  int rows;
+  int *point_of_row;      /* (rows)                                         */
+  double *G, *b, *lambda; /* (rows, nv), (rows), (rows)                      */
+  double *phi;            /* (rows) Phi where linearised                    */
+  double *multiplier;     /* (points) of the last solution, by point        */
+  double *C, *W;          /* (nv, nv) sum of lambda Hess Phi; model's factor */
+  double *center;         /* (nv) minimum of the model without constraints  */
+  least_move solver;
+
+  /* rates of the pose along a direction; forces on it */
+  kg_vec3 *w, *p_dot;  /* (n) */
+  kg_vec3 *f, *moment; /* (n) force and moment about O on each segment */
+  kg_mat3 *virial;     /* (n) sum of (x - O) f' on each segment        */
+};
+
+/* correction_pose.c */
+void correction_pose_init(kg_correction *c, kg_arena *arena);
+/* p, R, touches, d_pen, sum_depth, L_coll, lowest of a pose. A NaN anywhere makes d_pen NaN. */
+void correction_sample(kg_correction *c, const double *q);
+/* The same for the pose already sampled, carried by `shift` as a whole: touches are of the shifted
+ * pose, p stays. */
+void correction_measure(kg_correction *c, kg_vec3 shift);
+/* q_now = q0 (+) D, sampled */
+void correction_go_to(kg_correction *c, const double *D);
+/* grad L_coll in the tangent space of the pose sampled */
+void correction_loss_gradient(kg_correction *c, double *gradient);
+/* row[nv] = J' n of a touch at the pose sampled */
+void correction_row(const kg_correction *c, const touch *t, double *row);
+/* Jr at D */
+void correction_tangents(kg_correction *c, const double *D);
+/* A derivative by the tangent of the pose sampled made one by D. */
+void correction_to_move(const kg_correction *c, double *row);
+/* C[nv*nv] = sum over touches of multiplier Hess_D Phi, at D = c->D, which is sampled, with
+ * correction_tangents done. */
+void correction_curvature(kg_correction *c, const double *multiplier, double *C);
+/* a' M b */
+double correction_metric(const kg_correction *c, const double *a, const double *b);
+
+/* correction_gradient.c: steps of Eq. 11 from q_now (sampled) until d_pen is within the tolerance or
+ * no step makes L_coll fall. */
+void correction_descend(kg_correction *c, int *iterations);
+
+/* correction_least.c: from D (sampled) towards the least move that satisfies Phi >= 0. D becomes the
+ * smallest move met that leaves d_pen within the tolerance; false when there was none. */
+bool correction_least_move(kg_correction *c, int *iterations);
+/* Full steps of (25) from D until the conditions of (24) hold to def.kkt_tolerance or steps run out.
+ * D becomes the best met; returns its residual. */
+double correction_polish(kg_correction *c, int *iterations);
+
+static inline double correction_dot(const double *a, const double *b, int n)
+{
+  double sum = 0.0;
+  for (int i = 0; i < n; i++) {
+    sum += a[i] * b[i];
+  }
+  return sum;
+}
+
+#endif
