@@ -1,215 +1,516 @@
 /* Building of the hierarchy: two-way splits by the surface area heuristic over bins of centroids
  * [WALD] I. Wald, On fast construction of SAH-based bounding volume hierarchies, IEEE Symposium on
- * Interactive Ray Tracing, 2007; two levels of them make one node with four children. */
+ * Interactive Ray Tracing, 2007. A side costs its area times its packets of eight triangles. The
+ * widest part of a node is split until it has eight; nodes wait on a stack of their own.
+ *
+ * Parts are ranges of an array of boxes in floats, 32 bytes each, that is divided in place. */
 #include "sdf/bvh.h"
+
+#include "sdf/kernels/lanes.h"
 
 #include <float.h>
 #include <math.h>
 #include <string.h>
 
-enum { BINS = 16 };
+enum {
+  BINS = 16,
+  FEW = 64, /* triangles that are sorted into FEW_BINS only                           */
+  FEW_BINS = 8,
+  SHORT = 32,  /* triangles that are cut across their longest axis without a look at the */
+  LONG = 512,  /* others: SHORT and fewer, more than LONG                                */
+  TURNED = 512 /* triangles under a node that gets axes of its own, at most             */
+};
+
+/* The mean of unit normals is at least that long where axes of its own can pay. */
+#define FLAT 0.5
+
+/* Lane 3 of lo holds the face's number, that of hi nothing. */
+typedef struct item {
+  floats4 lo, hi;
+} item;
+
+typedef struct box {
+  floats4 lo, hi;
+} box;
+
+/* items [first, first + count) at this depth of two-way splits */
+typedef struct part {
+  int first, count, depth;
+  float area; /* half the surface of its box */
+  box bounds;
+} part;
+
+typedef struct waiting_node {
+  int node;
+  part of;
+} waiting_node;
+
+/* items [first, first + count) of a packet */
+typedef struct leaf {
+  int first, count;
+} leaf;
 
 typedef struct builder {
-  const bvh_box *boxes;
-  int *order;
+  const bvh_input *input;
+  kg_arena *scratch;
+  kg_vec3 middle;      /* of the mesh; items are seen from there */
+  item *items, *moved; /* (count) each                           */
   bvh_node *nodes;
-  int node_count;
+  leaf *leaves;
+  int node_count, node_capacity, leaf_count, leaf_capacity;
+  waiting_node waiting[BVH_STACK];
+  int waiting_count;
 } builder;
 
-/* items [first, first + count) of order, at this depth of two-way splits */
-typedef struct range {
-  int first, count, depth;
-} range;
+/* ---- boxes ----------------------------------------------------------------------------------- */
 
-static bvh_box empty_box(void)
+static inline box empty_box(void)
 {
-  return (bvh_box){{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+  const floats4 zero = {0};
+  return (box){zero + INFINITY, zero - INFINITY};
 }
 
-static void grow(bvh_box *box, const bvh_box *by)
+static inline void grow(box *b, floats4 lo, floats4 hi)
 {
-  box->lo =
-    kg_vec3_make(fmin(box->lo.x, by->lo.x), fmin(box->lo.y, by->lo.y), fmin(box->lo.z, by->lo.z));
-  box->hi =
-    kg_vec3_make(fmax(box->hi.x, by->hi.x), fmax(box->hi.y, by->hi.y), fmax(box->hi.z, by->hi.z));
+  b->lo = lesser4(b->lo, lo);
+  b->hi = greater4(b->hi, hi);
 }
 
 /* half the surface; 0 of an empty box */
-static double half_area(const bvh_box *box)
+static inline float half_area(const box *b)
 {
-  const kg_vec3 d = kg_vec3_sub(box->hi, box->lo);
-  return d.x >= 0.0 ? d.x * d.y + d.y * d.z + d.z * d.x : 0.0;
-}
-
-static double along(kg_vec3 a, int axis)
-{
-  return axis == 0 ? a.x : axis == 1 ? a.y : a.z;
+  const floats4 d = b->hi - b->lo;
+  return d[0] >= 0.0f ? d[0] * d[1] + d[1] * d[2] + d[2] * d[0] : 0.0f;
 }
 
 /* twice the centre */
-static double centroid(const builder *b, int position, int axis)
+static inline floats4 centroid(const item *t)
 {
-  const bvh_box *box = &b->boxes[b->order[position]];
-  return along(box->lo, axis) + along(box->hi, axis);
+  const ints4 three = {-1, -1, -1, 0};
+  return (floats4)((ints4)t->lo & three) + (floats4)((ints4)t->hi & three);
 }
+
+static inline int face_of(const item *t)
+{
+  return ((ints4)t->lo)[3];
+}
+
+static inline floats4 seen_from(kg_vec3 p, kg_vec3 origin)
+{
+  return (floats4){(float)(p.x - origin.x), (float)(p.y - origin.y), (float)(p.z - origin.z), 0.0f};
+}
+
+/* Boxes of rounded corners. */
+static void fill_items(builder *b)
+{
+  for (int i = 0; i < b->input->count; i++) {
+    const int *v = b->input->corner[i];
+    const floats4 p = seen_from(b->input->vertices[v[0]], b->middle);
+    box bounds = {p, p};
+    for (int k = 1; k < 3; k++) {
+      const floats4 q = seen_from(b->input->vertices[v[k]], b->middle);
+      grow(&bounds, q, q);
+    }
+    ints4 lo = (ints4)bounds.lo;
+    lo[3] = i;
+    b->items[i] = (item){(floats4)lo, bounds.hi};
+  }
+}
+
+/* ---- splits ---------------------------------------------------------------------------------- */
+
+typedef struct bin {
+  box bounds;
+  int count;
+} bin;
 
 typedef struct split {
-  int axis;
-  double cost, origin, scale; /* bin = (centroid - origin) * scale */
-  int bin;                    /* the first bin of the right side   */
+  float cost;
+  int axis, bin; /* the first bin of the right side */
+  int left_count;
+  box left, right;
 } split;
 
-static int bin_of(const split *s, double value)
+/* bin = (centroid - origin) * scale on each axis */
+typedef struct bin_scale {
+  floats4 origin, scale;
+} bin_scale;
+
+static inline ints4 bins_of(const bin_scale *s, const item *t)
 {
-  const int bin = (int)((value - s->origin) * s->scale);
-  return bin < 0 ? 0 : bin >= BINS ? BINS - 1 : bin;
+  return __builtin_convertvector((centroid(t) - s->origin) * s->scale, ints4);
 }
 
-/* cheapest plane on one axis: sum over both sides of area times items */
-static void try_axis(const builder *b, range r, int axis, split *best)
+/* False when all centroids are alike, or so nearly that bins cannot tell them apart. */
+static bool scale_bins(bin_scale *s, const item *items, int count, int bins)
 {
-  double lo = INFINITY, hi = -INFINITY;
-  for (int i = r.first; i < r.first + r.count; i++) {
-    lo = fmin(lo, centroid(b, i, axis));
-    hi = fmax(hi, centroid(b, i, axis));
+  box centroids = empty_box();
+  for (int i = 0; i < count; i++) {
+    const floats4 c = centroid(&items[i]);
+    grow(&centroids, c, c);
   }
-  split s = {axis, INFINITY, lo, BINS * (1.0 - 1e-9) / (hi - lo), 0};
-  if (!(hi > lo) || !isfinite(s.scale)) return;
-  bvh_box bins[BINS];
-  int counts[BINS] = {0};
-  for (int k = 0; k < BINS; k++) {
-    bins[k] = empty_box();
+  const floats4 extent = centroids.hi - centroids.lo;
+  bool is_wide = false;
+  *s = (bin_scale){.origin = centroids.lo};
+  for (int axis = 0; axis < 3; axis++) {
+    const float scale = (float)bins * 0.9999f / extent[axis];
+    const bool is_usable = extent[axis] > 0.0f && scale < FLT_MAX;
+    s->scale[axis] = is_usable ? scale : 0.0f;
+    is_wide = is_wide || is_usable;
   }
-  for (int i = r.first; i < r.first + r.count; i++) {
-    const int k = bin_of(&s, centroid(b, i, axis));
-    counts[k]++;
-    grow(&bins[k], &b->boxes[b->order[i]]);
-  }
-  double left_cost[BINS];
-  bvh_box side = empty_box();
-  for (int k = 0, n = 0; k < BINS - 1; k++) {
-    grow(&side, &bins[k]);
-    n += counts[k];
-    left_cost[k] = n > 0 ? half_area(&side) * n : INFINITY;
+  return is_wide;
+}
+
+static inline float packets_of(int count)
+{
+  return (float)((count + BVH_LEAF - 1) / BVH_LEAF);
+}
+
+/* cheapest plane between the bins of one axis */
+static void try_axis(const bin *bins, int count, int axis, split *best)
+{
+  box left[BINS];
+  int left_count[BINS];
+  box side = empty_box();
+  for (int k = 0, n = 0; k < count - 1; k++) {
+    grow(&side, bins[k].bounds.lo, bins[k].bounds.hi);
+    n += bins[k].count;
+    left[k] = side;
+    left_count[k] = n;
   }
   side = empty_box();
-  for (int k = BINS - 1, n = 0; k > 0; k--) {
-    grow(&side, &bins[k]);
-    n += counts[k];
-    const double cost = n > 0 ? left_cost[k - 1] + half_area(&side) * n : INFINITY;
+  for (int k = count - 1, n = 0; k > 0; k--) {
+    grow(&side, bins[k].bounds.lo, bins[k].bounds.hi);
+    n += bins[k].count;
+    if (n == 0 || left_count[k - 1] == 0) continue;
+    const float cost =
+      half_area(&left[k - 1]) * packets_of(left_count[k - 1]) + half_area(&side) * packets_of(n);
     if (cost < best->cost) {
-      *best = (split){axis, cost, s.origin, s.scale, k};
+      *best = (split){cost, axis, k, left_count[k - 1], left[k - 1], side};
     }
   }
 }
 
-/* Divides the items of r between two sides; returns the items on the left. */
-static int divide(builder *b, range r)
+/* the axis along which the centroids lie farthest apart */
+static int longest_axis(const bin_scale *s)
 {
-  split s = {.cost = INFINITY};
-  if (r.depth < BVH_SAH_DEPTH) {
-    for (int axis = 0; axis < 3; axis++) {
-      try_axis(b, r, axis, &s);
-    }
+  int axis = 0;
+  for (int i = 1; i < 3; i++) { /* scale is the inverse of the extent, or zero */
+    const bool is_longer = s->scale[axis] == 0.0f || s->scale[i] < s->scale[axis];
+    axis = s->scale[i] > 0.0f && is_longer ? i : axis;
   }
-  if (!isfinite(s.cost)) return r.count / 2; /* all centroids alike, or deep enough */
-  int left = r.first, right = r.first + r.count;
-  while (left < right) {
-    if (bin_of(&s, centroid(b, left, s.axis)) < s.bin) {
-      left++;
-    } else {
-      const int moved = b->order[--right];
-      b->order[right] = b->order[left];
-      b->order[left] = moved;
-    }
+  return axis;
+}
+
+static void fill_bins(bin *bins, int bin_count, const bin_scale *scale, int axis, const item *items,
+                      int count)
+{
+  for (int k = 0; k < bin_count; k++) {
+    bins[k] = (bin){empty_box(), 0};
   }
-  return left - r.first;
-}
-
-static bvh_box range_box(const builder *b, range r)
-{
-  bvh_box box = empty_box();
-  for (int i = r.first; i < r.first + r.count; i++) {
-    grow(&box, &b->boxes[b->order[i]]);
+  for (int i = 0; i < count; i++) {
+    bin *b = &bins[bins_of(scale, &items[i])[axis]];
+    grow(&b->bounds, items[i].lo, items[i].hi);
+    b->count++;
   }
-  return box;
 }
 
-/* floats below and above a double */
-static float below(double value)
+static void find_split(split *best, const bin_scale *scale, const item *items, int count,
+                       int bin_count)
 {
-  const float f = (float)value;
-  return f > value ? nextafterf(f, -FLT_MAX) : f;
-}
-
-static float above(double value)
-{
-  const float f = (float)value;
-  return f < value ? nextafterf(f, FLT_MAX) : f;
-}
-
-static void set_child(bvh_node *node, int k, const bvh_box *box, int child, int count)
-{
+  bin bins[BINS];
+  const int only = count <= SHORT || count > LONG ? longest_axis(scale) : -1;
   for (int axis = 0; axis < 3; axis++) {
-    node->lo[axis][k] = below(along(box->lo, axis));
-    node->hi[axis][k] = above(along(box->hi, axis));
+    if (scale->scale[axis] > 0.0f && (only < 0 || axis == only)) {
+      fill_bins(bins, bin_count, scale, axis, items, count);
+      try_axis(bins, bin_count, axis, best);
+    }
   }
-  node->child[k] = child;
-  node->count[k] = count;
 }
 
-/* up to four parts of r, by two rounds of two-way splits */
-static int four_parts(builder *b, range r, range parts[BVH_WIDTH])
+/* Items of the left side first, each side in the order it was in. */
+static void move_items(builder *b, const part *of, const bin_scale *scale, const split *by)
+{
+  item *left = &b->items[of->first], *right = b->moved;
+  for (int i = 0; i < of->count; i++) {
+    const item t = b->items[of->first + i];
+    const int is_left = bins_of(scale, &t)[by->axis] < by->bin;
+    *left = t;
+    *right = t;
+    left += is_left;
+    right += 1 - is_left;
+  }
+  memcpy(left, b->moved, (size_t)(right - b->moved) * sizeof *right);
+}
+
+static part make_part(int first, int count, int depth, const box *bounds)
+{
+  return (part){first, count, depth, half_area(bounds), *bounds};
+}
+
+static box bounds_of(const item *items, int count)
+{
+  box bounds = empty_box();
+  for (int i = 0; i < count; i++) {
+    grow(&bounds, items[i].lo, items[i].hi);
+  }
+  return bounds;
+}
+
+static void halve(const builder *b, const part *of, part *left, part *right)
+{
+  const int half = of->count / 2, rest = of->count - half;
+  const box first = bounds_of(&b->items[of->first], half);
+  const box second = bounds_of(&b->items[of->first + half], rest);
+  *left = make_part(of->first, half, of->depth + 1, &first);
+  *right = make_part(of->first + half, rest, of->depth + 1, &second);
+}
+
+static void divide(builder *b, const part *of, part *left, part *right)
+{
+  const item *items = &b->items[of->first];
+  const int bins = of->count <= FEW ? FEW_BINS : BINS;
+  bin_scale scale;
+  split best = {.cost = INFINITY};
+  if (of->depth < BVH_SAH_DEPTH && scale_bins(&scale, items, of->count, bins)) {
+    find_split(&best, &scale, items, of->count, bins);
+  }
+  if (!(best.cost < INFINITY)) { /* all centroids alike, or deep enough */
+    halve(b, of, left, right);
+    return;
+  }
+  move_items(b, of, &scale, &best);
+  *left = make_part(of->first, best.left_count, of->depth + 1, &best.left);
+  *right =
+    make_part(of->first + best.left_count, of->count - best.left_count, of->depth + 1, &best.right);
+}
+
+/* The parts that become the children of a node. */
+static int eight_parts(builder *b, const part *of, part parts[BVH_WIDTH])
 {
   int count = 1;
-  parts[0] = r;
-  for (int round = 0; round < 2; round++) {
-    for (int k = count - 1; k >= 0; k--) {
-      const range part = parts[k];
-      if (part.count <= BVH_LEAF && count > 1) continue;
-      if (part.count < 2) continue;
-      const int left = divide(b, part);
-      parts[k] = (range){part.first, left, part.depth + 1};
-      parts[count++] = (range){part.first + left, part.count - left, part.depth + 1};
+  parts[0] = *of;
+  while (count < BVH_WIDTH) {
+    int widest = -1;
+    for (int k = 0; k < count; k++) {
+      if (parts[k].count > BVH_LEAF && (widest < 0 || parts[k].area > parts[widest].area)) {
+        widest = k;
+      }
     }
+    if (widest < 0) break;
+    const part whole = parts[widest];
+    divide(b, &whole, &parts[widest], &parts[count++]);
   }
   return count;
 }
 
-static int build_node(builder *b, range r)
+/* ---- nodes ----------------------------------------------------------------------------------- */
+
+static const float WORLD[3][4] = {{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}};
+
+/* Axes whose third one is the mean normal; false when there is none. */
+static bool mean_axes(const builder *b, const part *of, float turn[3][4])
 {
-  const int index = b->node_count++;
-  range parts[BVH_WIDTH];
-  const int count = four_parts(b, r, parts);
-  for (int k = 0; k < BVH_WIDTH; k++) {
-    if (k >= count) {
-      const bvh_box nowhere = empty_box();
-      set_child(&b->nodes[index], k, &nowhere, 0, -1);
-      continue;
-    }
-    const bvh_box box = range_box(b, parts[k]);
-    const bool leaf = parts[k].count <= BVH_LEAF;
-    const int child = leaf ? parts[k].first : build_node(b, parts[k]);
-    set_child(&b->nodes[index], k, &box, child, leaf ? parts[k].count : 0);
+  kg_vec3 sum = {0.0, 0.0, 0.0};
+  for (int i = of->first; i < of->first + of->count; i++) {
+    sum = kg_vec3_add(sum, b->input->normal[face_of(&b->items[i])]);
   }
-  return index;
+  const kg_vec3 n = kg_vec3_normalized(sum);
+  if (!(kg_vec3_norm(sum) > FLAT * of->count)) return false;
+  const kg_vec3 other = fabs(n.x) < 0.6 ? kg_vec3_make(1, 0, 0) : kg_vec3_make(0, 1, 0);
+  const kg_vec3 s = kg_vec3_normalized(kg_vec3_cross(n, other)), t = kg_vec3_cross(n, s);
+  const float columns[3][4] = {{(float)s.x, (float)t.x, (float)n.x, 0.0f},
+                               {(float)s.y, (float)t.y, (float)n.y, 0.0f},
+                               {(float)s.z, (float)t.z, (float)n.z, 0.0f}};
+  memcpy(turn, columns, sizeof columns);
+  return true;
 }
 
-bool bvh_build(bvh *out, const bvh_box *boxes, int count, kg_arena *arena, kg_arena *scratch)
+static inline float sum_of_sizes(floats4 p)
 {
-  KG_ASSERT(count > 0);
-  /* an inner node has at least two children and every leaf at least one item */
-  bvh_node *nodes = KG_ARENA_ARRAY(scratch, bvh_node, count);
-  int *order = KG_ARENA_ARRAY(arena, int, count);
-  if (!nodes || !order) return false;
-  for (int i = 0; i < count; i++) {
-    order[i] = i;
+  return fabsf(p[0]) + fabsf(p[1]) + fabsf(p[2]);
+}
+
+/* In the world's axes: corners were rounded once, and are once more when the origin moves. */
+static box world_bounds(const part *of, floats4 origin)
+{
+  const float slack = BVH_TURNED * fmaxf(sum_of_sizes(of->bounds.lo), sum_of_sizes(of->bounds.hi));
+  return (box){of->bounds.lo - origin - slack, of->bounds.hi - origin + slack};
+}
+
+/* In a node's axes, wide enough for the roundings on the way there. */
+static box turned_bounds(const builder *b, const part *of, const bvh_node *node)
+{
+  const floats4 X = *(const floats4 *)node->turn[0], Y = *(const floats4 *)node->turn[1];
+  const floats4 Z = *(const floats4 *)node->turn[2];
+  const kg_vec3 origin = {node->origin[0], node->origin[1], node->origin[2]};
+  box bounds = empty_box(), straight = empty_box();
+  for (int i = of->first; i < of->first + of->count; i++) {
+    const int *corner = b->input->corner[face_of(&b->items[i])];
+    for (int k = 0; k < 3; k++) {
+      const floats4 p = seen_from(b->input->vertices[corner[k]], origin);
+      const floats4 q = X * p[0] + Y * p[1] + Z * p[2];
+      grow(&bounds, q, q);
+      grow(&straight, p, p);
+    }
   }
-  builder b = {boxes, order, nodes, 0};
-  build_node(&b, (range){0, count, 0});
-  bvh_node *kept = KG_ARENA_ARRAY(arena, bvh_node, b.node_count);
-  if (!kept) return false;
-  memcpy(kept, nodes, (size_t)b.node_count * sizeof *nodes);
-  *out = (bvh){kept, b.node_count, order};
+  const floats4 reach = greater4(straight.hi, -straight.lo); /* of a corner: below their sum */
+  const float slack = BVH_TURNED * sum_of_sizes(reach);
+  return (box){bounds.lo - slack, bounds.hi + slack};
+}
+
+static void set_boxes(bvh_node *node, const box *bounds, int count)
+{
+  for (int k = 0; k < BVH_WIDTH; k++) {
+    for (int axis = 0; axis < 3; axis++) {
+      node->lo[axis][k] = k < count ? bounds[k].lo[axis] : INFINITY;
+      node->hi[axis][k] = k < count ? bounds[k].hi[axis] : -INFINITY;
+    }
+  }
+}
+
+/* Turned axes where the surface is rather flat and the children's boxes get smaller by them. */
+static void set_axes(const builder *b, const part *of, const part *parts, int count, bvh_node *node)
+{
+  const floats4 middle = 0.5f * of->bounds.lo + 0.5f * of->bounds.hi;
+  node->origin[0] = b->middle.x + middle[0];
+  node->origin[1] = b->middle.y + middle[1];
+  node->origin[2] = b->middle.z + middle[2];
+  box bounds[BVH_WIDTH], turned[BVH_WIDTH];
+  float area = 0.0f, turned_area = 0.0f;
+  for (int k = 0; k < count; k++) {
+    bounds[k] = world_bounds(&parts[k], middle);
+    area += half_area(&bounds[k]);
+  }
+  bool is_turned = of->count <= TURNED && mean_axes(b, of, node->turn);
+  for (int k = 0; k < count && is_turned; k++) {
+    turned[k] = turned_bounds(b, &parts[k], node);
+    turned_area += half_area(&turned[k]);
+    is_turned = turned_area < area;
+  }
+  if (!is_turned) {
+    memcpy(node->turn, WORLD, sizeof WORLD);
+  }
+  set_boxes(node, is_turned ? turned : bounds, count);
+}
+
+/* ---- the whole tree -------------------------------------------------------------------------- */
+
+/* Room for `more` elements behind `count`; what there was moves. NULL when memory is refused. */
+static void *with_room(void *array, int count, int *capacity, int more, size_t size,
+                       kg_arena *scratch)
+{
+  if (count + more <= *capacity) return array;
+  const int larger = 2 * *capacity + more;
+  void *room = kg_arena_take(scratch, (size_t)larger * size, 64);
+  if (room) {
+    memcpy(room, array, (size_t)count * size);
+    *capacity = larger;
+  }
+  return room;
+}
+
+static bool make_room(builder *b)
+{
+  bvh_node *nodes =
+    with_room(b->nodes, b->node_count, &b->node_capacity, BVH_WIDTH, sizeof *b->nodes, b->scratch);
+  leaf *leaves = with_room(b->leaves, b->leaf_count, &b->leaf_capacity, BVH_WIDTH,
+                           sizeof *b->leaves, b->scratch);
+  b->nodes = nodes;
+  b->leaves = leaves;
+  return nodes && leaves;
+}
+
+static bool fill_node(builder *b, int index, const part *of)
+{
+  if (!make_room(b)) return false;
+  part parts[BVH_WIDTH];
+  const int count = eight_parts(b, of, parts);
+  bvh_node *node = &b->nodes[index];
+  *node = (bvh_node){.child = {0}};
+  set_axes(b, of, parts, count, node);
+  for (int k = 0; k < count; k++) {
+    if (parts[k].count <= BVH_LEAF) {
+      node->child[k] = ~b->leaf_count;
+      b->leaves[b->leaf_count++] = (leaf){parts[k].first, parts[k].count};
+      continue;
+    }
+    node->child[k] = b->node_count++;
+    KG_ASSERT(b->waiting_count < BVH_STACK);
+    b->waiting[b->waiting_count++] = (waiting_node){node->child[k], parts[k]};
+  }
   return true;
+}
+
+static bool fill_nodes(builder *b)
+{
+  const box bounds = bounds_of(b->items, b->input->count);
+  const part whole = make_part(0, b->input->count, 0, &bounds);
+  b->node_count = 1;
+  bool is_good = fill_node(b, 0, &whole);
+  while (b->waiting_count > 0 && is_good) {
+    const waiting_node next = b->waiting[--b->waiting_count];
+    is_good = fill_node(b, next.node, &next.of);
+  }
+  return is_good;
+}
+
+static void set_triangle(bvh_packet *packet, int k, const bvh_input *input, int face)
+{
+  const int *v = input->corner[face];
+  const kg_vec3 a = input->vertices[v[0]];
+  const kg_vec3 u = kg_vec3_sub(input->vertices[v[1]], a);
+  const kg_vec3 w = kg_vec3_sub(input->vertices[v[2]], a);
+  const double rows[3][3] = {{a.x, a.y, a.z}, {u.x, u.y, u.z}, {w.x, w.y, w.z}};
+  for (int axis = 0; axis < 3; axis++) {
+    packet->a[axis][k] = rows[0][axis];
+    packet->u[axis][k] = rows[1][axis];
+    packet->v[axis][k] = rows[2][axis];
+  }
+}
+
+static void fill_packets(bvh *out, const builder *b)
+{
+  for (int i = 0; i < b->leaf_count; i++) {
+    const leaf *of = &b->leaves[i];
+    for (int k = 0; k < BVH_LEAF; k++) {
+      const int place = k < of->count ? k : of->count - 1;
+      const int face = face_of(&b->items[of->first + place]);
+      out->face[BVH_LEAF * i + k] = face;
+      set_triangle(&out->packets[i], k, b->input, face);
+    }
+  }
+}
+
+static bool keep_result(bvh *out, const builder *b, kg_arena *arena)
+{
+  const size_t nodes = (size_t)b->node_count, packets = (size_t)b->leaf_count;
+  *out = (bvh){kg_arena_take(arena, nodes * sizeof *out->nodes, 64),
+               kg_arena_take(arena, packets * sizeof *out->packets, 64),
+               kg_arena_take(arena, packets * BVH_LEAF * sizeof *out->face, 64), b->node_count,
+               b->leaf_count};
+  if (kg_arena_failed(arena)) return false;
+  memcpy(out->nodes, b->nodes, nodes * sizeof *out->nodes);
+  fill_packets(out, b);
+  return true;
+}
+
+bool bvh_build(bvh *out, const bvh_input *input, kg_arena *arena, kg_arena *scratch)
+{
+  KG_ASSERT(input->count > 0);
+  const size_t count = (size_t)input->count;
+  builder *b = KG_ARENA_ARRAY(scratch, builder, 1);
+  if (!b) return false;
+  b->input = input;
+  b->scratch = scratch;
+  b->middle = kg_vec3_lerp(input->lo, input->hi, 0.5);
+  b->items = kg_arena_take(scratch, count * sizeof *b->items, 64);
+  b->moved = kg_arena_take(scratch, count * sizeof *b->moved, 64);
+  b->node_capacity = input->count / 24 + BVH_WIDTH;
+  b->leaf_capacity = input->count / 4 + BVH_WIDTH;
+  b->nodes = kg_arena_take(scratch, (size_t)b->node_capacity * sizeof *b->nodes, 64);
+  b->leaves = kg_arena_take(scratch, (size_t)b->leaf_capacity * sizeof *b->leaves, 64);
+  if (kg_arena_failed(scratch)) return false;
+  fill_items(b);
+  return fill_nodes(b) && keep_result(out, b, arena);
 }

@@ -1,4 +1,5 @@
-/* Cleaning and diagnosis of a triangle mesh: sort vertices, faces and edges, and count. */
+/* Cleaning and diagnosis of a triangle mesh: equal vertices by a hash table, edges by their lower
+ * vertex, and counts. */
 #include "sdf/topology.h"
 
 #include <limits.h>
@@ -13,55 +14,99 @@
 
 /* ---- vertices ----------------------------------------------------------------------------------*/
 
-typedef struct placed_vertex {
-  double p[3];
-  int index;
-} placed_vertex;
-
-static int compare_places(const placed_vertex *a, const placed_vertex *b)
+static uint64_t bits_of(double value)
 {
-  for (int i = 0; i < 3; i++) {
-    if (a->p[i] != b->p[i]) return a->p[i] < b->p[i] ? -1 : 1;
-  }
-  return 0;
+  uint64_t bits;
+  memcpy(&bits, &value, sizeof bits);
+  return bits;
 }
 
-static int compare_vertices(const void *left, const void *right)
+/* the last step of MurmurHash3, public domain */
+static uint64_t mixed(uint64_t h)
 {
-  const placed_vertex *a = left, *b = right;
-  const int order = compare_places(a, b);
-  return order != 0 ? order : (a->index > b->index) - (a->index < b->index);
+  h = (h ^ (h >> 33)) * 0xff51afd7ed558ccdu;
+  h = (h ^ (h >> 33)) * 0xc4ceb9fe1a85ec53u;
+  return h ^ (h >> 33);
+}
+
+/* + 0.0 makes -0 and 0 one place */
+static uint64_t hash_of(kg_vec3 p)
+{
+  return mixed(bits_of(p.x + 0.0) + 3 * mixed(bits_of(p.y + 0.0) + 3 * mixed(bits_of(p.z + 0.0))));
+}
+
+static size_t table_size(size_t count)
+{
+  size_t size = 16;
+  while (size < 2 * count) {
+    size *= 2;
+  }
+  return size;
 }
 
 /* merged[i] = the vertex that stands for vertex i: numbered by first appearance in the file */
 static bool merge_vertices(topology *out, int *merged, const kg_vec3 *vertices, int count,
-                           kg_arena *arena)
+                           kg_arena *scratch)
 {
-  placed_vertex *sorted = KG_ARENA_ARRAY(arena, placed_vertex, count);
-  int *first = KG_ARENA_ARRAY(arena, int, count);
-  out->vertices = KG_ARENA_ARRAY(arena, kg_vec3, count);
-  if (kg_arena_failed(arena)) return false;
-  for (int i = 0; i < count; i++) { /* + 0.0 makes -0 and 0 one place */
-    sorted[i] = (placed_vertex){{vertices[i].x + 0.0, vertices[i].y + 0.0, vertices[i].z + 0.0}, i};
-  }
-  qsort(sorted, (size_t)count, sizeof *sorted, compare_vertices);
-  for (int k = 0; k < count; k++) {
-    const bool same = k > 0 && compare_places(&sorted[k - 1], &sorted[k]) == 0;
-    first[sorted[k].index] = same ? first[sorted[k - 1].index] : sorted[k].index;
-  }
+  const size_t size = table_size((size_t)count);
+  int *table = KG_ARENA_ARRAY(scratch, int, size); /* 1 + vertex; 0: free */
+  if (!table) return false;
   out->vertex_count = 0;
   for (int i = 0; i < count; i++) {
-    if (first[i] == i) {
-      out->vertices[out->vertex_count] = vertices[i];
-      merged[i] = out->vertex_count++;
-    } else {
-      merged[i] = merged[first[i]];
+    const kg_vec3 p = vertices[i];
+    size_t at = hash_of(p) & (size - 1);
+    for (; table[at] != 0; at = (at + 1) & (size - 1)) {
+      const kg_vec3 q = out->vertices[table[at] - 1];
+      if (q.x == p.x && q.y == p.y && q.z == p.z) break;
     }
+    if (table[at] == 0) {
+      out->vertices[out->vertex_count++] = p;
+      table[at] = out->vertex_count;
+    }
+    merged[i] = table[at] - 1;
   }
   return true;
 }
 
 /* ---- faces -------------------------------------------------------------------------------------*/
+
+static kg_vec3 middle(const topology *topo, const int *v, int count)
+{
+  kg_vec3 sum = {0.0, 0.0, 0.0};
+  for (int k = 0; k < count; k++) {
+    sum = kg_vec3_add_scaled(sum, 1.0 / count, topo->vertices[v[k]]);
+  }
+  return sum;
+}
+
+/* Faces with three different corners, in the order given. */
+static bool collect_faces(topology *out, const kg_vec3 *vertices, int vertex_count,
+                          const int *triangles, int count, kg_mesh_report *report, kg_arena *arena,
+                          kg_arena *scratch)
+{
+  int *merged = kg_arena_take(scratch, (size_t)vertex_count * sizeof *merged, 64);
+  if (!merged || !merge_vertices(out, merged, vertices, vertex_count, scratch)) return false;
+  const size_t bytes = (size_t)count * sizeof *out->corner;
+  out->corner = kg_arena_take(arena, bytes, 64);
+  out->across = kg_arena_take(arena, bytes, 64);
+  out->source = kg_arena_take(arena, (size_t)count * sizeof *out->source, 64);
+  if (kg_arena_failed(arena)) return false;
+  out->face_count = 0;
+  for (int i = 0; i < count; i++) {
+    const int *t = &triangles[3 * (size_t)i];
+    const int a = merged[t[0]], b = merged[t[1]], c = merged[t[2]];
+    if (a == b || b == c || c == a) {
+      if (report->degenerate++ == 0) out->degenerate_at = out->vertices[a];
+      continue;
+    }
+    int *corner = out->corner[out->face_count];
+    corner[0] = a;
+    corner[1] = b;
+    corner[2] = c;
+    out->source[out->face_count++] = i;
+  }
+  return true;
+}
 
 typedef struct sorted_face {
   int v[3]; /* rotated so that the smallest comes first: orientation kept */
@@ -83,183 +128,278 @@ static sorted_face rotate_face(const int v[3], int index)
   return (sorted_face){{v[k], v[(k + 1) % 3], v[(k + 2) % 3]}, index};
 }
 
-static kg_vec3 middle(const topology *topo, const int *v, int count)
+/* Keeps face `from` as face `to` <= from. */
+static void keep_face(topology *topo, int to, int from)
 {
-  kg_vec3 sum = {0.0, 0.0, 0.0};
-  for (int k = 0; k < count; k++) {
-    sum = kg_vec3_add_scaled(sum, 1.0 / count, topo->vertices[v[k]]);
-  }
-  return sum;
+  memmove(topo->corner[to], topo->corner[from], sizeof *topo->corner);
+  memmove(topo->across[to], topo->across[from], sizeof *topo->across);
+  topo->source[to] = topo->source[from];
 }
 
-/* Faces with three different corners, each once, in the order given. */
-static bool collect_faces(topology *out, const int *merged, const int *triangles, int count,
-                          kg_mesh_report *report, kg_arena *arena)
+/* Each face once, the first one in the order given. */
+static bool remove_duplicates(topology *topo, kg_mesh_report *report, kg_arena *scratch)
 {
-  sorted_face *sorted = KG_ARENA_ARRAY(arena, sorted_face, count);
-  bool *dropped = KG_ARENA_ARRAY(arena, bool, count);
-  out->corner = kg_arena_alloc(arena, (size_t)count, sizeof *out->corner);
-  out->edge = kg_arena_alloc(arena, (size_t)count, sizeof *out->edge);
-  out->source = KG_ARENA_ARRAY(arena, int, count);
-  if (kg_arena_failed(arena)) return false;
+  const int count = topo->face_count;
+  sorted_face *sorted = kg_arena_take(scratch, (size_t)count * sizeof *sorted, 64);
+  bool *dropped = KG_ARENA_ARRAY(scratch, bool, count);
+  if (kg_arena_failed(scratch)) return false;
   for (int i = 0; i < count; i++) {
-    const int *t = &triangles[3 * (size_t)i];
-    const int v[3] = {merged[t[0]], merged[t[1]], merged[t[2]]};
-    sorted[i] = rotate_face(v, i);
-    dropped[i] = v[0] == v[1] || v[1] == v[2] || v[2] == v[0];
-    if (dropped[i] && report->degenerate++ == 0) out->degenerate_at = out->vertices[v[0]];
+    sorted[i] = rotate_face(topo->corner[i], i);
   }
   qsort(sorted, (size_t)count, sizeof *sorted, compare_faces);
   for (int k = 1; k < count; k++) {
     const bool same = memcmp(sorted[k].v, sorted[k - 1].v, sizeof sorted[k].v) == 0;
-    if (same && !dropped[sorted[k].index]) {
-      dropped[sorted[k].index] = true;
-      if (report->duplicates++ == 0) out->duplicate_at = middle(out, sorted[k].v, 3);
-    }
+    dropped[sorted[k].index] = same;
+    if (same && report->duplicates++ == 0) topo->duplicate_at = middle(topo, sorted[k].v, 3);
   }
-  out->face_count = 0;
+  topo->face_count = 0;
   for (int i = 0; i < count; i++) {
     if (!dropped[i]) {
-      out->source[out->face_count] = i;
-      int *corner = out->corner[out->face_count++];
-      for (int k = 0; k < 3; k++) {
-        corner[k] = merged[triangles[3 * (size_t)i + (size_t)k]];
+      keep_face(topo, topo->face_count++, i);
+    }
+  }
+  return true;
+}
+
+/* ---- edges -------------------------------------------------------------------------------------
+ *
+ * Half-edges are put together by their lower vertex; the few of one vertex are compared with each
+ * other. */
+
+typedef struct half_edge {
+  int high; /* vertex                                    */
+  int of;   /* 2 (3 face + side) + (low to high ? 1 : 0) */
+} half_edge;
+
+enum { MANY_AT_A_VERTEX = 48 };
+
+static int compare_edges(const void *left, const void *right)
+{
+  const half_edge *a = left, *b = right;
+  if (a->high != b->high) return a->high < b->high ? -1 : 1;
+  return (a->of > b->of) - (a->of < b->of);
+}
+
+/* first[v]: the first of the half-edges whose lower vertex is v; they end where those of v + 1
+ * begin */
+static void sort_half_edges(const topology *topo, half_edge *halves, int *first)
+{
+  for (int i = 0; i < topo->face_count; i++) {
+    const int *c = topo->corner[i];
+    for (int k = 0; k < 3; k++) {
+      const int from = c[k], to = c[k == 2 ? 0 : k + 1];
+      first[(from < to ? from : to) + 1]++;
+    }
+  }
+  for (int v = 0; v < topo->vertex_count; v++) {
+    first[v + 1] += first[v];
+  }
+  for (int i = topo->face_count - 1; i >= 0; i--) { /* from behind: first[v + 1] counts down */
+    const int *c = topo->corner[i];
+    for (int k = 2; k >= 0; k--) {
+      const int from = c[k], to = c[k == 2 ? 0 : k + 1];
+      const bool forward = from < to;
+      halves[--first[(forward ? from : to) + 1]] =
+        (half_edge){forward ? to : from, 2 * (3 * i + k) + forward};
+    }
+  }
+}
+
+/* What the half-edges [0, count) of one edge say. */
+static void join_edge(const half_edge *halves, int count, int low, topology *out,
+                      kg_mesh_report *report, bool *has_repeated)
+{
+  const int ends[2] = {low, halves[0].high};
+  int forward = 0;
+  for (int i = 0; i < count; i++) {
+    const int half = halves[i].of / 2, other = halves[count == 2 ? 1 - i : i].of / 2;
+    forward += halves[i].of & 1;
+    out->across[half / 3][half % 3] = count > 2 ? ~out->odd_count : other / 3;
+  }
+  out->odd_count += count > 2;
+  report->boundary_edges += count == 1;
+  if (count > 2 && report->non_manifold_edges++ == 0) out->non_manifold_at = middle(out, ends, 2);
+  if (count == 2 && forward != 1 && report->inconsistent_edges++ == 0) {
+    out->inconsistent_at = middle(out, ends, 2);
+  }
+  out->is_closed = out->is_closed && 2 * forward == count;
+  *has_repeated = *has_repeated || forward > 1 || count - forward > 1;
+}
+
+/* The half-edges [0, count) of one lower vertex, edge by edge. */
+static void join_edges_of(half_edge *halves, int count, int low, topology *out,
+                          kg_mesh_report *report, bool *has_repeated)
+{
+  if (count > MANY_AT_A_VERTEX) {
+    qsort(halves, (size_t)count, sizeof *halves, compare_edges);
+  }
+  for (int k = 0, end; k < count; k = end) {
+    end = k + 1;
+    for (int i = end; i < count; i++) {
+      if (halves[i].high == halves[k].high) {
+        const half_edge same = halves[i];
+        halves[i] = halves[end];
+        halves[end++] = same;
+      } else if (count > MANY_AT_A_VERTEX) {
+        break; /* sorted */
+      }
+    }
+    join_edge(&halves[k], end - k, low, out, report, has_repeated);
+  }
+}
+
+/* has_repeated: some edge is walked twice the same way, as by repeated faces */
+static bool join_edges(topology *out, kg_mesh_report *report, bool *has_repeated, kg_arena *scratch)
+{
+  half_edge *halves = kg_arena_take(scratch, 3 * (size_t)out->face_count * sizeof *halves, 64);
+  int *first = KG_ARENA_ARRAY(scratch, int, out->vertex_count + 2);
+  if (kg_arena_failed(scratch)) return false;
+  sort_half_edges(out, halves, first);
+  report->boundary_edges = report->non_manifold_edges = report->inconsistent_edges = 0;
+  *has_repeated = false;
+  out->is_closed = true; /* every edge walked as often one way as the other encloses a volume */
+  out->odd_count = 0;
+  for (int v = 0; v < out->vertex_count; v++) {
+    const int begin = first[v + 1];
+    const int end = v + 1 < out->vertex_count ? first[v + 2] : 3 * out->face_count;
+    join_edges_of(&halves[begin], end - begin, v, out, report, has_repeated);
+  }
+  return true;
+}
+
+/* An edge with one face has that face on both sides. */
+static bool collect_boundary(topology *out, int count, kg_arena *arena)
+{
+  out->boundary = kg_arena_alloc(arena, (size_t)count, sizeof *out->boundary);
+  if (!out->boundary) return false;
+  for (int i = 0; i < out->face_count && count > 0; i++) {
+    for (int k = 0; k < 3; k++) {
+      if (out->across[i][k] == i) {
+        int *edge = out->boundary[out->boundary_count++];
+        edge[0] = out->corner[i][k];
+        edge[1] = out->corner[i][(k + 1) % 3];
       }
     }
   }
   return true;
 }
 
-/* ---- edges -------------------------------------------------------------------------------------*/
-
-typedef struct half_edge {
-  int low, high; /* vertices */
-  int face, side;
-  bool forward; /* from low to high */
-} half_edge;
-
-static int compare_edges(const void *left, const void *right)
+/* Edges; repeated faces, which show in them, are removed first. */
+static bool join_faces(topology *out, kg_mesh_report *report, kg_arena *arena, kg_arena *scratch)
 {
-  const half_edge *a = left, *b = right;
-  if (a->low != b->low) return a->low < b->low ? -1 : 1;
-  if (a->high != b->high) return a->high < b->high ? -1 : 1;
-  if (a->face != b->face) return a->face < b->face ? -1 : 1;
-  return (a->side > b->side) - (a->side < b->side);
-}
-
-/* an edge with its first half, how many there are and how many of them run from low to high */
-static void count_edge(topology *out, kg_mesh_report *report, const half_edge *half, int uses,
-                       int forward)
-{
-  const int ends[2] = {half->low, half->high};
-  report->boundary_edges += uses == 1;
-  if (uses > 2 && report->non_manifold_edges++ == 0) out->non_manifold_at = middle(out, ends, 2);
-  if (uses == 2 && forward != 1 && report->inconsistent_edges++ == 0) {
-    out->inconsistent_at = middle(out, ends, 2);
+  bool has_repeated;
+  if (!join_edges(out, report, &has_repeated, scratch)) return false;
+  if (has_repeated) {
+    if (!remove_duplicates(out, report, scratch)) return false;
+    if (report->duplicates > 0 && !join_edges(out, report, &has_repeated, scratch)) return false;
   }
-}
-
-static bool collect_boundary(topology *out, const half_edge *halves, size_t count, int edges,
-                             kg_arena *arena)
-{
-  out->boundary = kg_arena_alloc(arena, (size_t)edges, sizeof *out->boundary);
-  if (!out->boundary) return false;
-  for (size_t k = 0; k < count; k++) {
-    const half_edge *h = &halves[k];
-    const bool alone = (k == 0 || h[-1].low != h->low || h[-1].high != h->high) &&
-                       (k + 1 == count || h[1].low != h->low || h[1].high != h->high);
-    if (alone) {
-      int *edge = out->boundary[out->boundary_count++];
-      edge[0] = h->forward ? h->low : h->high;
-      edge[1] = h->forward ? h->high : h->low;
-    }
-  }
-  return true;
-}
-
-static bool number_edges(topology *out, kg_mesh_report *report, kg_arena *arena)
-{
-  const size_t count = 3 * (size_t)out->face_count;
-  half_edge *halves = KG_ARENA_ARRAY(arena, half_edge, count);
-  if (!halves) return false;
-  for (size_t k = 0; k < count; k++) {
-    const int face = (int)(k / 3), side = (int)(k % 3);
-    const int from = out->corner[face][side], to = out->corner[face][(side + 1) % 3];
-    const bool forward = from < to;
-    halves[k] = (half_edge){forward ? from : to, forward ? to : from, face, side, forward};
-  }
-  qsort(halves, count, sizeof *halves, compare_edges);
-  bool balanced = true;
-  out->edge_count = 0;
-  for (size_t k = 0, end; k < count; k = end) {
-    int forward = 0;
-    for (end = k;
-         end < count && halves[end].low == halves[k].low && halves[end].high == halves[k].high;
-         end++) {
-      forward += halves[end].forward;
-      out->edge[halves[end].face][halves[end].side] = out->edge_count;
-    }
-    const int uses = (int)(end - k);
-    count_edge(out, report, &halves[k], uses, forward);
-    balanced = balanced && 2 * forward == uses;
-    out->edge_count++;
-  }
-  /* every edge walked as often one way as the other: the faces enclose a volume */
-  report->closed = out->is_closed = balanced;
-  return collect_boundary(out, halves, count, report->boundary_edges, arena);
+  report->closed = out->is_closed;
+  return collect_boundary(out, report->boundary_edges, arena);
 }
 
 /* ---- shape -------------------------------------------------------------------------------------*/
 
-/* sum of the tetrahedra from the first vertex, which keeps the numbers small far from the origin */
-static double volume_of(const topology *topo)
-{
-  const kg_vec3 o = topo->vertices[0];
-  double six = 0.0;
-  for (int i = 0; i < topo->face_count; i++) {
-    const int *k = topo->corner[i];
-    const kg_vec3 a = kg_vec3_sub(topo->vertices[k[0]], o);
-    const kg_vec3 b = kg_vec3_sub(topo->vertices[k[1]], o);
-    six += kg_vec3_dot(kg_vec3_cross(a, b), kg_vec3_sub(topo->vertices[k[2]], o));
-  }
-  return six / 6.0;
-}
-
 static void turn_around(topology *topo)
 {
   for (int i = 0; i < topo->face_count; i++) {
-    int *corner = topo->corner[i], *edge = topo->edge[i];
-    const int c = corner[1], e = edge[0];
+    int *corner = topo->corner[i], *across = topo->across[i];
+    const int c = corner[1], f = across[0];
     corner[1] = corner[2]; /* 0 2 1: edges 02, 21, 10 */
     corner[2] = c;
-    edge[0] = edge[2];
-    edge[2] = e;
+    across[0] = across[2];
+    across[2] = f;
+    topo->normal[i] = kg_vec3_scale(-1.0, topo->normal[i]);
   }
 }
 
-static bool is_sliver(const topology *topo, int face)
+static inline kg_vec3 lower(kg_vec3 a, kg_vec3 b)
+{
+  return kg_vec3_make(a.x < b.x ? a.x : b.x, a.y < b.y ? a.y : b.y, a.z < b.z ? a.z : b.z);
+}
+
+static inline kg_vec3 upper(kg_vec3 a, kg_vec3 b)
+{
+  return kg_vec3_make(a.x > b.x ? a.x : b.x, a.y > b.y ? a.y : b.y, a.z > b.z ? a.z : b.z);
+}
+
+/* Of a face: its unit normal; its share in bounds and in six times the volume, a sum of tetrahedra
+ * from the first vertex, which keeps the numbers small far from the origin. False when it has no
+ * area. */
+static bool measure_face(topology *topo, int face, kg_vec3 *normal, double *six_volumes)
 {
   const int *k = topo->corner[face];
   const kg_vec3 a = topo->vertices[k[0]], b = topo->vertices[k[1]], c = topo->vertices[k[2]];
   const kg_vec3 u = kg_vec3_sub(b, a), v = kg_vec3_sub(c, a), w = kg_vec3_sub(c, b);
   const double longest2 = fmax(kg_vec3_dot(u, u), fmax(kg_vec3_dot(v, v), kg_vec3_dot(w, w)));
-  return !(kg_vec3_norm(kg_vec3_cross(u, v)) > SLIVER * longest2);
+  const kg_vec3 n = kg_vec3_cross(u, v);
+  const double norm = kg_vec3_norm(n);
+  if (!(norm > SLIVER * longest2)) {
+    return false;
+  }
+  *normal = kg_vec3_scale(1.0 / norm, n);
+  *six_volumes += kg_vec3_dot(n, kg_vec3_sub(a, topo->vertices[0]));
+  topo->lo = lower(topo->lo, lower(a, lower(b, c)));
+  topo->hi = upper(topo->hi, upper(a, upper(b, c)));
+  return true;
 }
 
-static void remove_slivers(topology *topo, kg_mesh_report *report)
+/* After faces have gone: new numbers; across an edge to one that is gone lies the face itself. */
+static void renumber(topology *topo, const int *number)
 {
-  int kept = 0;
   for (int i = 0; i < topo->face_count; i++) {
-    if (is_sliver(topo, i)) {
-      if (report->degenerate++ == 0) topo->degenerate_at = middle(topo, topo->corner[i], 3);
-      continue;
+    for (int k = 0; k < 3; k++) {
+      int *across = &topo->across[i][k];
+      if (*across >= 0) {
+        *across = number[*across] >= 0 ? number[*across] : i;
+      }
     }
-    memmove(topo->corner[kept], topo->corner[i], sizeof *topo->corner);
-    memmove(topo->edge[kept], topo->edge[i], sizeof *topo->edge);
-    topo->source[kept] = topo->source[i];
-    kept++;
+  }
+}
+
+/* Measures the faces; those without area are removed. */
+static bool measure_faces(topology *topo, kg_mesh_report *report, double *six_volumes,
+                          kg_arena *arena, kg_arena *scratch)
+{
+  const int count = topo->face_count;
+  topo->normal = kg_arena_take(arena, (size_t)count * sizeof *topo->normal, 64);
+  int *number = kg_arena_take(scratch, (size_t)count * sizeof *number, 64);
+  if (kg_arena_failed(arena) || kg_arena_failed(scratch)) return false;
+  topo->lo = kg_vec3_make(INFINITY, INFINITY, INFINITY);
+  topo->hi = kg_vec3_scale(-1.0, topo->lo);
+  *six_volumes = 0.0;
+  int kept = 0;
+  for (int i = 0; i < count; i++) {
+    const bool has_area = measure_face(topo, i, &topo->normal[kept], six_volumes);
+    number[i] = has_area ? kept : -1;
+    if (!has_area && report->degenerate++ == 0) {
+      topo->degenerate_at = middle(topo, topo->corner[i], 3);
+    }
+    if (has_area && kept != i) {
+      keep_face(topo, kept, i);
+    }
+    kept += has_area;
   }
   topo->face_count = kept;
+  if (kept < count) {
+    renumber(topo, number);
+  }
+  return true;
+}
+
+/* Sums of the normals at the edges of more than two faces. */
+static bool sum_odd_edges(topology *topo, kg_arena *arena)
+{
+  topo->odd_normals = KG_ARENA_ARRAY(arena, kg_vec3, topo->odd_count);
+  if (!topo->odd_normals) return false;
+  for (int i = 0; i < topo->face_count && topo->odd_count > 0; i++) {
+    for (int k = 0; k < 3; k++) {
+      if (topo->across[i][k] < 0) {
+        kg_vec3 *sum = &topo->odd_normals[~topo->across[i][k]];
+        *sum = kg_vec3_add(*sum, topo->normal[i]);
+      }
+    }
+  }
+  return true;
 }
 
 /* ---- report ------------------------------------------------------------------------------------*/
@@ -308,7 +448,7 @@ static void describe(const topology *topo, kg_mesh_report *report)
 static kg_status check_input(const kg_vec3 *vertices, int vertex_count, const int *triangles,
                              int triangle_count, kg_error *error)
 {
-  if (triangle_count > INT_MAX / 4) {
+  if (triangle_count > INT_MAX / 8) {
     return kg_fail(error, KG_ERR_UNSUPPORTED, "", 0, 0, "%d triangles are too many",
                    triangle_count);
   }
@@ -332,36 +472,43 @@ static kg_status check_input(const kg_vec3 *vertices, int vertex_count, const in
 
 kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_count,
                          const int *triangles, int triangle_count, kg_mesh_report *report,
-                         kg_arena *arena, kg_error *error)
+                         kg_arena *arena, kg_arena *scratch, kg_error *error)
 {
   *report = (kg_mesh_report){0};
   *out = (topology){0};
   const kg_status status = check_input(vertices, vertex_count, triangles, triangle_count, error);
   if (status != KG_OK) return status;
-  int *merged = KG_ARENA_ARRAY(arena, int, vertex_count);
-  if (!merged || !merge_vertices(out, merged, vertices, vertex_count, arena) ||
-      !collect_faces(out, merged, triangles, triangle_count, report, arena) ||
-      !number_edges(out, report, arena)) {
+  out->vertices = kg_arena_take(scratch, (size_t)vertex_count * sizeof *out->vertices, 64);
+  const kg_arena_mark mark = kg_arena_mark_of(scratch);
+  double six_volumes;
+  if (!out->vertices ||
+      !collect_faces(out, vertices, vertex_count, triangles, triangle_count, report, arena,
+                     scratch) ||
+      !join_faces(out, report, arena, scratch) ||
+      !measure_faces(out, report, &six_volumes, arena, scratch)) {
     return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
                    triangle_count);
   }
-  remove_slivers(out, report);
+  kg_arena_rewind(scratch, mark);
   if (out->face_count == 0) {
     return kg_fail(error, KG_ERR_FORMAT, "", 0, 0, "no triangle with an area is left of %d",
                    triangle_count);
   }
   if (report->closed) {
-    report->volume = volume_of(out);
-    report->inside_out = report->volume < 0.0;
+    report->volume = fabs(six_volumes) / 6.0;
+    report->inside_out = six_volumes < 0.0;
   }
   if (report->inside_out) {
-    report->volume = -report->volume;
     turn_around(out);
+  }
+  if (!sum_odd_edges(out, arena)) {
+    return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
+                   triangle_count);
   }
   report->vertices = out->vertex_count;
   report->triangles = out->face_count;
   describe(out, report);
-  if (!boundary_describe(out, report, arena)) {
+  if (!boundary_describe(out, report, scratch)) {
     return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
                    triangle_count);
   }

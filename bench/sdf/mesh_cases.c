@@ -16,6 +16,9 @@
 #ifdef KG_BENCH_HAS_EMBREE
 #include "bench/sdf/embree_peer.h"
 #endif
+#ifdef KG_BENCH_HAS_CGAL
+#include "bench/sdf/cgal_peer.h"
+#endif
 
 enum { POINTS = 6400, FRAMES = POINTS / KG_BENCH_FOOT_POINTS, SHARE = 16, BUILD_POINTS = 64 };
 
@@ -181,6 +184,34 @@ static kg_status run(void *state, double *answer)
   return KG_OK;
 }
 
+/* Each point of the feet begins where it was a frame before. */
+static kg_status run_hints(void *state, double *answer)
+{
+  ours *s = state;
+  kg_mesh_hint hints[KG_BENCH_FOOT_POINTS];
+  for (int k = 0; k < KG_BENCH_FOOT_POINTS; k++) {
+    hints[k].triangle = -1;
+  }
+  for (int i = 0; i < s->of->of->points; i++) {
+    kg_mesh_hint *hint = &hints[i % KG_BENCH_FOOT_POINTS];
+    put(s->of, answer, i, kg_mesh_distance_from(s->mesh, s->of->at[i], hint).distance);
+  }
+  return KG_OK;
+}
+
+static kg_status run_many(void *state, double *answer)
+{
+  ours *s = state;
+  kg_sdf_value values[KG_BENCH_FOOT_POINTS];
+  for (int i = 0; i < s->of->of->points; i += KG_BENCH_FOOT_POINTS) {
+    kg_mesh_distance_many(s->mesh, KG_BENCH_FOOT_POINTS, &s->of->at[i], NULL, values);
+    for (int k = 0; k < KG_BENCH_FOOT_POINTS; k++) {
+      put(s->of, answer, i + k, values[k].distance);
+    }
+  }
+  return KG_OK;
+}
+
 static kg_status run_build(void *state, double *answer)
 {
   const kg_status status = build(state);
@@ -272,27 +303,107 @@ static kg_status run_embree_build(void *state, double *answer)
   ABSENT_CONTESTANT(title, "Embree", UNSIGNED)
 #endif
 
+/* ---- CGAL ------------------------------------------------------------------------------------ */
+
+#ifdef KG_BENCH_HAS_CGAL
+typedef struct cgal {
+  const points *of;
+  kg_cgal *cgal;
+} cgal;
+
+static void destroy_cgal(void *state)
+{
+  cgal *s = state;
+  kg_cgal_close(s->cgal);
+  free(s);
+}
+
+static kg_status create_empty_cgal(void **state, const void *data, const kg_allocator *allocator)
+{
+  (void)allocator;
+  cgal *s = calloc(1, sizeof *s);
+  if (!s) {
+    return KG_ERR_NO_MEMORY;
+  }
+  s->of = data;
+  const kg_status status = kg_cgal_open(&s->cgal, &s->of->surface);
+  if (status != KG_OK) {
+    free(s);
+    return status;
+  }
+  *state = s;
+  return KG_OK;
+}
+
+static kg_status create_cgal(void **state, const void *data, const kg_allocator *allocator)
+{
+  kg_status status = create_empty_cgal(state, data, allocator);
+  if (status == KG_OK) {
+    status = kg_cgal_build(((cgal *)*state)->cgal);
+    if (status != KG_OK) {
+      destroy_cgal(*state);
+    }
+  }
+  return status;
+}
+
+static kg_status run_cgal(void *state, double *answer)
+{
+  cgal *s = state;
+  for (int i = 0; i < s->of->of->points; i++) {
+    put_unsigned(s->of, answer, i, kg_cgal_distance(s->cgal, s->of->at[i]));
+  }
+  return KG_OK;
+}
+
+static kg_status run_cgal_build(void *state, double *answer)
+{
+  cgal *s = state;
+  const kg_status status = kg_cgal_build(s->cgal);
+  return status == KG_OK ? run_cgal(state, answer) : status;
+}
+
+#define CGAL_CONTESTANT(title, create_function, run_function)                                      \
+  {                                                                                                \
+    .name = (title), .parts = UNSIGNED, .create = (create_function), .run = (run_function),        \
+    .destroy = destroy_cgal                                                                        \
+  }
+#else
+#define CGAL_CONTESTANT(title, create_function, run_function)                                      \
+  ABSENT_CONTESTANT(title, "CGAL", UNSIGNED)
+#endif
+
 /* ---- the cases ------------------------------------------------------------------------------- */
 
 static const kg_bench_contestant near_contestants[] = {
   {"kinegrad", NULL, UNSIGNED | SIGNED, create, run, destroy},
   EMBREE_CONTESTANT("Embree", create_embree, run_embree),
+  CGAL_CONTESTANT("CGAL", create_cgal, run_cgal),
 };
-static const kg_bench_pair near_pairs[] = {{"kinegrad", 0, 1, 0.8}};
+static const kg_bench_pair near_pairs[] = {{"kinegrad", 0, 1, 0.8}, {"kinegrad", 0, 2, 0.0}};
 
-static const kg_bench_contestant coherent_contestants[] = {
-  {"kinegrad", NULL, UNSIGNED | SIGNED, create, run, destroy},
-  EMBREE_CONTESTANT("Embree", create_embree, run_embree),
-  EMBREE_CONTESTANT("Embree, last triangle", create_embree, run_embree_hints),
+enum { COLD, HINTS, MANY, EMBREE, EMBREE_HINTS, CGAL, COHERENT_CONTESTANTS };
+
+static const kg_bench_contestant coherent_contestants[COHERENT_CONTESTANTS] = {
+  [COLD] = {"kinegrad", NULL, UNSIGNED | SIGNED, create, run, destroy},
+  [HINTS] = {"kinegrad, hints", NULL, UNSIGNED | SIGNED, create, run_hints, destroy},
+  [MANY] = {"kinegrad, a frame a call", NULL, UNSIGNED | SIGNED, create, run_many, destroy},
+  [EMBREE] = EMBREE_CONTESTANT("Embree", create_embree, run_embree),
+  [EMBREE_HINTS] = EMBREE_CONTESTANT("Embree, last triangle", create_embree, run_embree_hints),
+  [CGAL] = CGAL_CONTESTANT("CGAL", create_cgal, run_cgal),
 };
-static const kg_bench_pair coherent_pairs[] = {{"kinegrad", 0, 1, 0.5},
-                                               {"against last triangle", 0, 2, 0.0}};
+static const kg_bench_pair coherent_pairs[] = {
+  {"kinegrad hints", HINTS, EMBREE, 0.5}, {"kinegrad", COLD, EMBREE, 0.0},
+  {"a frame a call", MANY, EMBREE, 0.0},  {"hints against last triangle", HINTS, EMBREE_HINTS, 0.0},
+  {"kinegrad hints", HINTS, CGAL, 0.0},
+};
 
 static const kg_bench_contestant build_contestants[] = {
   {"kinegrad, with topology", NULL, UNSIGNED | SIGNED, create_empty, run_build, destroy},
   EMBREE_CONTESTANT("Embree, medium quality", create_empty_embree, run_embree_build),
+  CGAL_CONTESTANT("CGAL", create_empty_cgal, run_cgal_build),
 };
-static const kg_bench_pair build_pairs[] = {{"kinegrad", 0, 1, 1.0}};
+static const kg_bench_pair build_pairs[] = {{"kinegrad", 0, 1, 1.0}, {"kinegrad", 0, 2, 0.0}};
 
 /* Embree rounds coordinates of 10 m to floats: 5e-7 m of 5 cm. */
 /* clang-format off */

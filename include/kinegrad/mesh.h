@@ -86,10 +86,10 @@ typedef struct kg_mesh_hit {
   kg_mesh_feature feature;
 } kg_mesh_hit;
 
-/* Where the search begins: the closest triangle of an earlier point nearby saves most of it. {-1}
- * is none; anything else, from another mesh too, costs time at worst. */
+/* Where the search begins: what an earlier query nearby left here saves most of it. {-1} is none;
+ * anything else, from another mesh too, costs time at worst. */
 typedef struct kg_mesh_hint {
-  int triangle;
+  int triangle; /* in a numbering of the mesh's own */
 } kg_mesh_hint;
 
 KG_API kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x);
