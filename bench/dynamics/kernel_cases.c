@@ -10,7 +10,6 @@
 
 #include "bench/dynamics/cases.h"
 #include "bench/dynamics/reference.h"
-#include "kinegrad/dense.h"
 #include "kinegrad/dynamics.h"
 #include "kinegrad/dynamics_lanes.h"
 
@@ -682,19 +681,11 @@ static kg_status solve_reference(const void *data, double *answer)
 {
   const states *s = data;
   const size_t nv = (size_t)s->model.body->nv;
-  double *M = malloc(nv * nv * sizeof *M);
-  kg_status status = M ? KG_OK : KG_ERR_NO_MEMORY;
+  kg_status status = KG_OK;
   for (int i = 0; i < s->count && status == KG_OK; i++) {
     memcpy(answer + row(s, i), s->a + row(s, i), nv * sizeof *answer);
-    status = kg_bench_reference_mass(s->model.body, M, q_of(s, i));
-    if (status == KG_OK) {
-      status = kg_dense_cholesky_factor(M, (int)nv) ? KG_OK : KG_ERR_UNDEFINED;
-    }
-    if (status == KG_OK) {
-      kg_dense_cholesky_solve(M, (int)nv, answer + row(s, i), 1);
-    }
+    status = kg_bench_reference_solve(s->model.body, answer + row(s, i), q_of(s, i));
   }
-  free(M);
   return status;
 }
 

@@ -3,7 +3,9 @@
  *   tau_j = R_j' sum_i [ n_i + (c_i - p_j) x f_i ],   i in the subtree of j,
  *   f_i = m_i (c_i'' - g),   n_i = R_i (I_i alpha + omega x I_i omega) in segment axes.
  *
- * O(n^2), no recursion of forces, no spatial vectors. */
+ * O(n^2), no recursion of forces, no spatial vectors. Numbers are long double where that is more
+ * than double, and solutions with M are refined in them: M is so ill-conditioned that accelerations
+ * in double err by 1e-12. */
 #include "bench/dynamics/reference.h"
 
 #include <complex.h>
@@ -12,7 +14,8 @@
 
 #include "kinegrad/dense.h"
 
-typedef double complex number;
+typedef long double real;
+typedef long double complex number;
 
 typedef struct link {
   number R[3][3];
@@ -208,8 +211,8 @@ kg_status kg_bench_reference_pose(const kg_body *body, double *p, double *R, con
   move_all(links, body, x.q, x.v, x.a, 0.0);
   for (int i = 0; i < body->segment_count; i++) {
     for (int k = 0; k < 9; k++) {
-      R[9 * i + k] = creal(links[i].R[k / 3][k % 3]);
-      p[3 * i + k / 3] = creal(links[i].p[k / 3]);
+      R[9 * i + k] = (double)creall(links[i].R[k / 3][k % 3]);
+      p[3 * i + k / 3] = (double)creall(links[i].p[k / 3]);
     }
   }
   free(links);
@@ -235,7 +238,7 @@ static void momentum_column(double *A, int c, const kg_body *body, const link *l
     add_cross(sum, arm, links[i].f);
   }
   for (int k = 0; k < 6; k++) {
-    A[k * body->nv + c] = creal(sum[k]);
+    A[k * body->nv + c] = (double)creall(sum[k]);
   }
 }
 
@@ -269,8 +272,8 @@ kg_status kg_bench_reference_acceleration(const kg_body *body, double *p_ddot, d
   }
   move_all(links, body, x.q, x.v, x.a, 0.0);
   for (int k = 0; k < 3 * body->segment_count; k++) {
-    p_ddot[k] = creal(links[k / 3].pp[k % 3]);
-    alpha[k] = creal(links[k / 3].ww[k % 3]);
+    p_ddot[k] = (double)creall(links[k / 3].pp[k % 3]);
+    alpha[k] = (double)creall(links[k / 3].ww[k % 3]);
   }
   free(links);
   free(x.q);
@@ -286,7 +289,7 @@ kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const dou
   }
   const kg_status status = inverse(body, x.tau, x.q, x.v, x.a, kg_bench_gravity);
   for (int k = 0; k < body->nv && status == KG_OK; k++) {
-    tau[k] = creal(x.tau[k]);
+    tau[k] = (double)creall(x.tau[k]);
   }
   free(x.q);
   return status;
@@ -304,32 +307,131 @@ kg_status kg_bench_reference_mass(const kg_body *body, double *M, const double *
     status = inverse(body, x.tau, x.q, x.v, x.a, 0.0);
     x.a[c] = 0.0;
     for (int r = 0; r < body->nv && status == KG_OK; r++) {
-      M[r * body->nv + c] = creal(x.tau[r]);
+      M[r * body->nv + c] = (double)creall(x.tau[r]);
     }
   }
   free(x.q);
   return status;
 }
 
+/* ---- solutions with M ------------------------------------------------------------------------ */
+
+/* M in long double, its Cholesky factor in double, and room for a solution. */
+typedef struct mass {
+  int nv;
+  real *M, *x, *rest;
+  double *L, *step;
+} mass;
+
+static void mass_close(mass *m)
+{
+  free(m->M);
+  free(m->L);
+}
+
+static kg_status mass_open(mass *m, const kg_body *body, const double *q)
+{
+  const size_t nv = (size_t)body->nv;
+  arguments x;
+  *m = (mass){.nv = body->nv,
+              .M = malloc((nv * nv + 2 * nv) * sizeof *m->M),
+              .L = malloc((nv * nv + nv) * sizeof *m->L)};
+  if (!m->M || !m->L || !take(&x, body, q, NULL, NULL)) {
+    mass_close(m);
+    return KG_ERR_NO_MEMORY;
+  }
+  m->x = m->M + nv * nv;
+  m->rest = m->x + nv;
+  m->step = m->L + nv * nv;
+  kg_status status = KG_OK;
+  for (size_t c = 0; c < nv && status == KG_OK; c++) {
+    x.a[c] = 1.0;
+    status = inverse(body, x.tau, x.q, x.v, x.a, 0.0);
+    x.a[c] = 0.0;
+    for (size_t r = 0; r < nv; r++) {
+      m->M[r * nv + c] = creall(x.tau[r]);
+      m->L[r * nv + c] = (double)creall(x.tau[r]);
+    }
+  }
+  free(x.q);
+  if (status == KG_OK && !kg_dense_cholesky_factor(m->L, m->nv)) {
+    status = KG_ERR_UNDEFINED;
+  }
+  if (status != KG_OK) {
+    mass_close(m);
+  }
+  return status;
+}
+
+/* x with M x = b, for what rest holds on entry: b - M x is solved for in double and added, which
+ * gains the digits of a double less those of the condition number each time. */
+static void mass_solve(mass *m)
+{
+  const int nv = m->nv;
+  real *b = m->rest;
+  memset(m->x, 0, (size_t)nv * sizeof *m->x);
+  for (int round = 0; round < 4; round++) {
+    for (int k = 0; k < nv; k++) {
+      m->step[k] = (double)b[k];
+    }
+    kg_dense_cholesky_solve(m->L, nv, m->step, 1);
+    for (int r = 0; r < nv; r++) {
+      m->x[r] += (real)m->step[r];
+      for (int c = 0; c < nv; c++) {
+        b[r] -= m->M[r * nv + c] * (real)m->step[c];
+      }
+    }
+  }
+}
+
+kg_status kg_bench_reference_solve(const kg_body *body, double *x, const double *q)
+{
+  mass m;
+  const kg_status status = mass_open(&m, body, q);
+  if (status != KG_OK) {
+    return status;
+  }
+  for (int k = 0; k < body->nv; k++) {
+    m.rest[k] = (real)x[k];
+  }
+  mass_solve(&m);
+  for (int k = 0; k < body->nv; k++) {
+    x[k] = (double)m.x[k];
+  }
+  mass_close(&m);
+  return KG_OK;
+}
+
+/* x = FD(q, v, tau) in m->x */
+static kg_status forward(mass *m, const kg_body *body, const double *q, const double *v,
+                         const double *tau)
+{
+  arguments x;
+  if (!take(&x, body, q, v, NULL)) {
+    return KG_ERR_NO_MEMORY;
+  }
+  const kg_status status = inverse(body, x.tau, x.q, x.v, x.a, kg_bench_gravity);
+  for (int k = 0; k < body->nv; k++) {
+    m->rest[k] = (real)tau[k] - creall(x.tau[k]);
+  }
+  free(x.q);
+  mass_solve(m);
+  return status;
+}
+
 kg_status kg_bench_reference_forward(const kg_body *body, double *a, const double *q,
                                      const double *v, const double *tau)
 {
-  const int nv = body->nv;
-  double *M = malloc((size_t)nv * (size_t)nv * sizeof *M);
-  kg_status status = M ? kg_bench_reference_inverse(body, a, q, v, NULL) : KG_ERR_NO_MEMORY;
-  if (status == KG_OK) {
-    status = kg_bench_reference_mass(body, M, q);
+  mass m;
+  kg_status status = mass_open(&m, body, q);
+  if (status != KG_OK) {
+    return status;
   }
-  for (int k = 0; k < nv && status == KG_OK; k++) {
-    a[k] = tau[k] - a[k];
+  status = forward(&m, body, q, v, tau);
+  for (int k = 0; k < body->nv; k++) {
+    a[k] = (double)m.x[k];
   }
-  if (status == KG_OK) {
-    status = kg_dense_cholesky_factor(M, nv) ? KG_OK : KG_ERR_UNDEFINED;
-  }
-  if (status == KG_OK) {
-    kg_dense_cholesky_solve(M, nv, a, 1);
-  }
-  free(M);
+  mass_close(&m);
   return status;
 }
 
@@ -367,7 +469,7 @@ kg_status kg_bench_reference_point(const kg_body *body, double *J, const double 
     link *last = &links[body->segment_count - 1];
     rotate(arm, last->R, s);
     for (int r = 0; r < 3; r++) {
-      J[r * body->nv + c] = cimag(last->p[r] + arm[r]) / h;
+      J[r * body->nv + c] = (double)cimagl(last->p[r] + arm[r]) / h;
     }
     free(x.q);
   }
@@ -375,74 +477,87 @@ kg_status kg_bench_reference_point(const kg_body *body, double *J, const double 
   return status;
 }
 
+/* Column c of dtau/dq (c < nv) or dtau/dv (c - nv) at x, in imaginary parts of x->tau over h. */
+static kg_status derivative_column(const kg_body *body, arguments *x, int c, double h)
+{
+  const int nv = body->nv;
+  if (c >= nv) {
+    x->v[c - nv] += I * h;
+    const kg_status status = inverse(body, x->tau, x->q, x->v, x->a, kg_bench_gravity);
+    x->v[c - nv] = creall(x->v[c - nv]);
+    return status;
+  }
+  number kept[4];
+  number *moved = c < 3 ? x->q : x->q + 3 + 4 * ((c - 3) / 3);
+  memcpy(kept, moved, sizeof kept);
+  lean(x->q, c, h);
+  const kg_status status = inverse(body, x->tau, x->q, x->v, x->a, kg_bench_gravity);
+  memcpy(moved, kept, sizeof kept);
+  return status;
+}
+
+static const double tiny = 1e-40;
+
 kg_status kg_bench_reference_derivatives(const kg_body *body, double *dtau_dq, double *dtau_dv,
                                          const double *q, const double *v, const double *a)
 {
-  const double h = 1e-40;
   const int nv = body->nv;
+  arguments x;
+  if (!take(&x, body, q, v, a)) {
+    return KG_ERR_NO_MEMORY;
+  }
   kg_status status = KG_OK;
   for (int c = 0; c < 2 * nv && status == KG_OK; c++) {
-    arguments x;
-    if (!take(&x, body, q, v, a)) {
-      return KG_ERR_NO_MEMORY;
-    }
     double *out = c < nv ? dtau_dq : dtau_dv;
-    if (c < nv) {
-      lean(x.q, c, h);
-    } else {
-      x.v[c - nv] += I * h;
-    }
-    status = inverse(body, x.tau, x.q, x.v, x.a, kg_bench_gravity);
+    status = derivative_column(body, &x, c, tiny);
     for (int r = 0; r < nv && status == KG_OK; r++) {
-      out[r * nv + c % nv] = cimag(x.tau[r]) / h;
+      out[r * nv + c % nv] = (double)(cimagl(x.tau[r]) / tiny);
     }
-    free(x.q);
+  }
+  free(x.q);
+  return status;
+}
+
+/* From those of inverse dynamics at a: -M^-1 dID/dq, -M^-1 dID/dv, M^-1. */
+static kg_status forward_columns(mass *m, const kg_body *body, arguments *x, double *const out[3])
+{
+  const int nv = body->nv;
+  kg_status status = KG_OK;
+  for (int c = 0; c < 3 * nv && status == KG_OK; c++) {
+    if (c < 2 * nv) {
+      status = derivative_column(body, x, c, tiny);
+    }
+    for (int r = 0; r < nv; r++) {
+      m->rest[r] = c < 2 * nv ? -cimagl(x->tau[r]) / tiny : r == c % nv;
+    }
+    mass_solve(m);
+    for (int r = 0; r < nv; r++) {
+      out[c / nv][r * nv + c % nv] = (double)m->x[r];
+    }
   }
   return status;
 }
 
-/* out := M^-1 out, columns of a row-major matrix one by one; L the Cholesky factor */
-static void solve_columns(const double *L, double *out, int nv, double *column)
-{
-  for (int c = 0; c < nv; c++) {
-    for (int r = 0; r < nv; r++) {
-      column[r] = out[r * nv + c];
-    }
-    kg_dense_cholesky_solve(L, nv, column, 1);
-    for (int r = 0; r < nv; r++) {
-      out[r * nv + c] = column[r];
-    }
-  }
-}
-
-/* From those of inverse dynamics at a: -M^-1 dID/dq, -M^-1 dID/dv, M^-1. */
 kg_status kg_bench_reference_forward_derivatives(const kg_body *body, double *da_dq, double *da_dv,
                                                  double *da_dtau, const double *q, const double *v,
                                                  const double *tau)
 {
-  const int nv = body->nv;
-  const size_t square = (size_t)nv * (size_t)nv;
-  double *a = malloc((2 * (size_t)nv + square) * sizeof *a);
-  kg_status status = a ? kg_bench_reference_forward(body, a, q, v, tau) : KG_ERR_NO_MEMORY;
-  double *column = a + nv, *M = column + nv;
+  mass m;
+  arguments x;
+  kg_status status = mass_open(&m, body, q);
+  if (status != KG_OK) {
+    return status;
+  }
+  status = take(&x, body, q, v, NULL) ? KG_OK : KG_ERR_NO_MEMORY;
   if (status == KG_OK) {
-    status = kg_bench_reference_mass(body, M, q);
+    double *const out[3] = {da_dq, da_dv, da_dtau};
+    status = forward(&m, body, q, v, tau);
+    for (int k = 0; k < body->nv; k++) {
+      x.a[k] = m.x[k];
+    }
+    status = status == KG_OK ? forward_columns(&m, body, &x, out) : status;
+    free(x.q);
   }
-  if (status == KG_OK) {
-    status = kg_bench_reference_derivatives(body, da_dq, da_dv, q, v, a);
-  }
-  if (status == KG_OK) {
-    status = kg_dense_cholesky_factor(M, nv) ? KG_OK : KG_ERR_UNDEFINED;
-  }
-  for (size_t k = 0; k < square && status == KG_OK; k++) {
-    da_dq[k] = -da_dq[k];
-    da_dv[k] = -da_dv[k];
-    da_dtau[k] = k % ((size_t)nv + 1) == 0;
-  }
-  double *const all[3] = {da_dq, da_dv, da_dtau};
-  for (int part = 0; part < 3 && status == KG_OK; part++) {
-    solve_columns(M, all[part], nv, column);
-  }
-  free(a);
+  mass_close(&m);
   return status;
 }

@@ -22,7 +22,9 @@ kg_status kg_bench_reference_inverse(const kg_body *body, double *tau, const dou
                                      const double *v, const double *a);
 /* M[nv*nv], column k the inverse dynamics of a = e_k at rest without gravity. */
 kg_status kg_bench_reference_mass(const kg_body *body, double *M, const double *q);
-/* a[nv] = M^-1 (tau - ID(q, v, 0)), by Cholesky. */
+/* x := M^-1 x, by Cholesky, refined in long double; so are the next and their derivatives. */
+kg_status kg_bench_reference_solve(const kg_body *body, double *x, const double *q);
+/* a[nv] = M^-1 (tau - ID(q, v, 0)) */
 kg_status kg_bench_reference_forward(const kg_body *body, double *a, const double *q,
                                      const double *v, const double *tau);
 /* dtau/dq in the tangent space (right perturbation), dtau/dv; nv*nv row-major. */
