@@ -147,6 +147,25 @@ static kg_value step_in_flight(cli_operators *o, kg_tape *t, kg_value x)
   return kg_implicit_step(t, o->operators, q, v, tau, none, m, offsets(o, t, x));
 }
 
+/* 3 cm lower than where it touches */
+static kg_value sunk(cli_operators *o, kg_tape *t, kg_value x)
+{
+  const kg_value q = state(o, t, x, o->law.layer);
+  memset(o->numbers, 0, (size_t)o->body->nq * sizeof *o->numbers);
+  o->numbers[1] = -0.03;
+  return kg_add(t, q, kg_constant(t, KG_SHAPE(o->body->nq), o->numbers));
+}
+
+static kg_value collision(cli_operators *o, kg_tape *t, kg_value x)
+{
+  return kg_scale(t, kg_collision_loss(t, o->operators, sunk(o, t, x)), 1e3);
+}
+
+static kg_value corrected(cli_operators *o, kg_tape *t, kg_value x)
+{
+  return kg_corrected_pose(t, o->operators, sunk(o, t, x));
+}
+
 /* the state three times, moved a little, with torques and forces in the middle */
 static kg_value loss(cli_operators *o, kg_tape *t, kg_value x)
 {
@@ -186,6 +205,8 @@ static const row table[] = {
   {"contact_forces", "qvl", true, 1, contacts},
   {"implicit_step in contact", "qvtlmo", true, 20, step_in_contact},
   {"implicit_step in flight", "qvtmo", false, 1, step_in_flight},
+  {"collision_loss", "q", true, 1, collision},
+  {"corrected_pose", "q", true, 1, corrected},
   {"dynamics_loss", "Qtf", false, 1, loss},
 };
 

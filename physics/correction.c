@@ -48,6 +48,7 @@ static void allocate(kg_correction *c, kg_arena *arena)
   c->chol = KG_ARENA_ARRAY(arena, double, square);
   c->M = KG_ARENA_ARRAY(arena, double, square);
   c->point_of_row = KG_ARENA_ARRAY(arena, int, rows);
+  c->touch_of_row = KG_ARENA_ARRAY(arena, int, rows);
   c->G = KG_ARENA_ARRAY(arena, double, (size_t)rows *(size_t)nv);
   c->C = KG_ARENA_ARRAY(arena, double, square);
   c->W = KG_ARENA_ARRAY(arena, double, square);
@@ -57,6 +58,7 @@ static void allocate(kg_correction *c, kg_arena *arena)
   c->lambda = KG_ARENA_ARRAY(arena, double, rows);
   correction_pose_init(c, arena);
   least_move_init(&c->solver, nv, rows, arena);
+  correction_vjp_init(c, arena);
 }
 
 kg_status kg_correction_create(kg_correction **correction, const kg_correction_def *def)
@@ -77,6 +79,7 @@ kg_status kg_correction_create(kg_correction **correction, const kg_correction_d
     kg_arena_release(&arena);
     return KG_ERR_NO_MEMORY;
   }
+  kg_dynamics_set_gravity(c->dynamics, kg_vec3_make(0.0, 0.0, 0.0)); /* its inverse: M a alone */
   *correction = c;
   return KG_OK;
 }
@@ -104,7 +107,7 @@ double kg_penetration(kg_correction *correction, const double *q, double *L_coll
 }
 
 /* M and its factor at q. A body with massless ends has a singular M: it gets a small share more. */
-static void factor_mass(kg_correction *c, const double *q)
+void correction_factor_mass(kg_correction *c, const double *q)
 {
   const size_t nv = (size_t)c->nv;
   kg_dynamics_mass_matrix(c->dynamics, c->M, q);
@@ -171,7 +174,7 @@ static int stop_inward_motion(kg_correction *c, const double *q, double *v)
     c->b[c->rows++] = -correction_dot(row, v, c->nv);
   }
   if (v && c->rows > 0) {
-    factor_mass(c, q);
+    correction_factor_mass(c, q);
     least_move_solve(&c->solver, c->chol, c->G, c->b, c->rows, CORRECTION_ROW_TOLERANCE, c->goal,
                      c->lambda);
     for (int i = 0; i < c->nv; i++) {
@@ -267,7 +270,7 @@ kg_correction_report kg_correction_apply(kg_correction *correction, double *q, d
   memcpy(c->q0, q, nq_bytes);
   memcpy(c->q_now, q, nq_bytes);
   correction_sample(c, q);
-  factor_mass(c, c->q0);
+  correction_factor_mass(c, c->q0);
   find_move(c, &report.iterations);
   if (c->def.kkt_tolerance > 0.0) {
     report.kkt_residual = correction_polish(c, &report.iterations);
@@ -284,4 +287,29 @@ kg_correction_report kg_correction_apply(kg_correction *correction, double *q, d
   report.displacement = sqrt(correction_metric(c, c->D, c->D));
   report.contact_count = stop_inward_motion(c, q, v);
   return report;
+}
+
+double kg_correction_step(kg_correction *correction, double *q)
+{
+  KG_ASSERT(correction && q);
+  kg_correction *c = correction;
+  const size_t nq_bytes = (size_t)c->def.body->nq * sizeof *q;
+  c->near = CORRECTION_NEAR;
+  correction_sample(c, q);
+  if (!(c->d_pen > c->def.tolerance)) return c->d_pen;
+  c->near += CORRECTION_NEAR_SHARE * c->d_pen;
+  memcpy(c->q0, q, nq_bytes);
+  memcpy(c->q_now, q, nq_bytes);
+  memset(c->D, 0, (size_t)c->nv * sizeof *c->D);
+  memset(c->multiplier, 0, (size_t)c->point_count * sizeof *c->multiplier);
+  correction_factor_mass(c, c->q0);
+  correction_sample(c, q);
+  if (c->def.method == KG_CORRECTION_GRADIENT) {
+    (void)correction_gradient_step(c);
+  } else {
+    correction_least_step(c);
+    correction_go_to(c, c->D);
+  }
+  memcpy(q, c->q_now, nq_bytes);
+  return c->d_pen;
 }

@@ -45,6 +45,20 @@ typedef struct segment_ball {
   double bound; /* no point of the segment is nearer  */
 } segment_ball;
 
+/* What correction_vjp.c keeps from prepare to pull. */
+typedef struct correction_adjoint {
+  bool untouched; /* the pose was within the tolerance: the identity        */
+  int count;      /* independent touches that carry a multiplier            */
+  double *K;      /* (nv + count, nv + count) LU                            */
+  int *pivots;    /* (nv + count)                                           */
+  double *u;      /* (nv + count) adjoints of D and of the multipliers      */
+  double *rows;   /* (count, nv) g at the end                               */
+  double *gamma;  /* (nv, nv)                                               */
+  double *zero;   /* (nv) zeros                                             */
+  double *end;    /* (nv) adjoint of the end with D held                    */
+  kg_mat3 *E;     /* (n) exp(D) of every rotation                           */
+} correction_adjoint;
+
 struct kg_correction {
   kg_correction_def def;
   kg_arena arena;
@@ -73,13 +87,14 @@ struct kg_correction {
 
   /* the linearised constraints */
   int rows;
-  int *point_of_row;      /* (rows)                                         */
-  double *G, *b, *lambda; /* (rows, nv), (rows), (rows)                      */
-  double *phi;            /* (rows) Phi where linearised                    */
-  double *multiplier;     /* (points) of the last solution, by point        */
-  double *C, *W;          /* (nv, nv) sum of lambda Hess Phi; model's factor */
-  double *center;         /* (nv) minimum of the model without constraints  */
+  int *touch_of_row, *point_of_row; /* (rows)                                         */
+  double *G, *b, *lambda;           /* (rows, nv), (rows), (rows)                      */
+  double *phi;                      /* (rows) Phi where linearised                    */
+  double *multiplier;               /* (points) of the last solution, by point        */
+  double *C, *W;                    /* (nv, nv) sum of lambda Hess Phi; model's factor */
+  double *center;                   /* (nv) minimum of the model without constraints  */
   least_move solver;
+  correction_adjoint adjoint;
 
   /* rates of the pose along a direction; forces on it */
   kg_vec3 *w, *p_dot;  /* (n) */
@@ -110,8 +125,17 @@ void correction_curvature(kg_correction *c, const double *multiplier, double *C)
 /* a' M b */
 double correction_metric(const kg_correction *c, const double *a, const double *b);
 
-/* correction_gradient.c: steps of Eq. 11 from q_now (sampled) until d_pen is within the tolerance or
- * no step makes L_coll fall. */
+/* correction.c: M and its factor at q */
+void correction_factor_mass(kg_correction *c, const double *q);
+
+/* correction_vjp.c */
+void correction_vjp_init(kg_correction *c, kg_arena *arena); /* the solver first */
+
+/* correction_gradient.c: one step from q_now (sampled); false, nothing changed, when L_coll does not
+ * fall. */
+bool correction_gradient_step(kg_correction *c);
+/* Steps of it from q_now (sampled) until d_pen is within the tolerance or no step makes
+ * L_coll fall. */
 void correction_descend(kg_correction *c, int *iterations);
 
 /* correction_least.c: from D (sampled) towards the least move that satisfies Phi >= 0. D becomes the
@@ -120,6 +144,8 @@ bool correction_least_move(kg_correction *c, int *iterations);
 /* Full steps of (25) from D until the conditions of (24) hold to def.kkt_tolerance or steps run out.
  * D becomes the best met; returns its residual. */
 double correction_polish(kg_correction *c, int *iterations);
+/* One step from D = 0, which is sampled. */
+void correction_least_step(kg_correction *c);
 
 static inline double correction_dot(const double *a, const double *b, int n)
 {

@@ -37,7 +37,7 @@ static double curvature(kg_correction *c)
  * rotation is weighed against a translation by what it moves. eta is cut to the minimum of the
  * Gauss-Newton model and halved until L_coll falls by half of what the model predicts. False when
  * it does not fall. */
-static bool gradient_step(kg_correction *c)
+bool correction_gradient_step(kg_correction *c)
 {
   const double L = c->L_coll;
   correction_loss_gradient(c, c->gradient);
@@ -71,7 +71,7 @@ static bool gradient_step(kg_correction *c)
 void correction_descend(kg_correction *c, int *iterations)
 {
   while (c->d_pen > 0.9 * c->def.tolerance && *iterations < c->def.max_iterations) {
-    if (!gradient_step(c)) return;
+    if (!correction_gradient_step(c)) return;
     ++*iterations;
   }
 }

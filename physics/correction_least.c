@@ -244,6 +244,18 @@ bool correction_least_move(kg_correction *c, int *iterations)
   return true;
 }
 
+void correction_least_step(kg_correction *c)
+{
+  double mu = 0.0;
+  linearise(c);
+  (void)make_model(c, false);
+  solve_model(c, 0.0);
+  for (int r = 0; r < c->rows; r++) {
+    mu = fmax(mu, 1.5 * c->lambda[r]);
+  }
+  (void)step_to_goal(c, mu);
+}
+
 /* ---- to the last digit -------------------------------------------------------------------------*/
 
 /* |M D - G' lambda| in the norm of M^-1 and the distances of the rows that carry a multiplier or are

@@ -237,6 +237,47 @@ static kg_status step_vjp(const kg_rule_item *i)
                      (int)*i->saved, o->end_bar, i->out_bar + o->body->nq);
 }
 
+/* ---- penetration ------------------------------------------------------------------------------*/
+
+/* the conditions of the least move must hold to this, kg^1/2 m, or its derivative is not one */
+#define CORRECTION_RESIDUAL 1e-8
+
+static kg_status collision(const kg_rule_item *i)
+{
+  (void)kg_penetration(i->operators->correction, i->in[0], i->out, NULL);
+  return finite_or_undefined(i->out, 1);
+}
+
+static kg_status collision_vjp(const kg_rule_item *i)
+{
+  kg_dynamics_operators *o = i->operators;
+  (void)kg_penetration(o->correction, i->in[0], NULL, o->end_bar);
+  for (int k = 0; k < o->body->nv; k++) {
+    i->bar[0][k] += i->out_bar[0] * o->end_bar[k];
+  }
+  return KG_OK;
+}
+
+static kg_status correction(const kg_rule_item *i)
+{
+  memcpy(i->out, i->in[0], (size_t)body_of(i)->nq * sizeof *i->out);
+  const kg_correction_report report =
+    kg_correction_apply(i->operators->correction, i->out, NULL, NULL);
+  const bool moved = report.displacement > 0.0;
+  return report.converged && !(moved && report.kkt_residual > CORRECTION_RESIDUAL)
+           ? KG_OK
+           : KG_ERR_UNDEFINED;
+}
+
+static kg_status correction_vjp(const kg_rule_item *i)
+{
+  kg_dynamics_operators *o = i->operators;
+  to_tangent(o->body, i->out, i->out_bar, o->end_bar);
+  return kg_correction_vjp(o->correction, i->in[0], i->out, o->end_bar, i->bar[0])
+           ? KG_OK
+           : KG_ERR_UNDEFINED;
+}
+
 const kg_rule kg_rules[KG_RULE_COUNT] = {
   [KG_RULE_INVERSE] = {"inverse_dynamics",
                        {KG_RULE_STATE, KG_RULE_RATE, KG_RULE_RATE},
@@ -272,4 +313,7 @@ const kg_rule kg_rules[KG_RULE_COUNT] = {
                     KG_RULE_BOTH,
                     step,
                     step_vjp},
+  [KG_RULE_COLLISION] = {"collision_loss", {KG_RULE_STATE}, KG_RULE_ONE, collision, collision_vjp},
+  [KG_RULE_CORRECTION] =
+    {"corrected_pose", {KG_RULE_STATE}, KG_RULE_STATE, correction, correction_vjp},
 };

@@ -21,6 +21,7 @@ static int tail_of(const kg_body *body, kg_rule_size size, int32_t tail[2])
                           [KG_RULE_JOINTS] = body->segment_count,
                           [KG_RULE_POINTS] = body->point_count,
                           [KG_RULE_BOTH] = body->nq + body->nv,
+                          [KG_RULE_ONE] = 1,
                           [KG_RULE_LAW] = KG_CONTACT_PARAM_COUNT,
                           [KG_RULE_MASSES] = body->segment_count,
                           [KG_RULE_OFFSETS] = body->segment_count};
@@ -190,8 +191,12 @@ static kg_status create_parts(kg_dynamics_operators *o, const kg_step_def *def)
   step.scene = def->scene ? &o->scene : NULL;
   status = kg_step_create(&o->step, &step);
   if (status == KG_OK) status = kg_dynamics_create(&o->dynamics, o->source, def->allocator);
-  if (status == KG_OK) kg_dynamics_set_gravity(o->dynamics, def->gravity);
-  return status;
+  if (status != KG_OK) return status;
+  kg_dynamics_set_gravity(o->dynamics, def->gravity);
+  kg_correction_def correction = kg_correction_default_def(o->source, &o->scene);
+  correction.kkt_tolerance = 1e-11;
+  correction.allocator = def->allocator;
+  return kg_correction_create(&o->correction, &correction);
 }
 
 kg_status kg_dynamics_operators_create(kg_dynamics_operators **operators, const kg_step_def *step,
@@ -229,6 +234,7 @@ void kg_dynamics_operators_destroy(kg_dynamics_operators *operators)
 {
   if (!operators) return;
   kg_step_destroy(operators->step);
+  kg_correction_destroy(operators->correction);
   kg_dynamics_destroy(operators->dynamics);
   kg_body_destroy(operators->source);
   kg_body_destroy(operators->body);
@@ -325,4 +331,14 @@ kg_value kg_implicit_step(kg_tape *tape, kg_dynamics_operators *operators, kg_va
 {
   return record(tape, operators, KG_RULE_STEP, 3,
                 (kg_value[KG_RULE_OPERANDS]){q, v, tau, law, masses, offsets});
+}
+
+kg_value kg_collision_loss(kg_tape *tape, kg_dynamics_operators *operators, kg_value q)
+{
+  return record(tape, operators, KG_RULE_COLLISION, 1, (kg_value[KG_RULE_OPERANDS]){q});
+}
+
+kg_value kg_corrected_pose(kg_tape *tape, kg_dynamics_operators *operators, kg_value q)
+{
+  return record(tape, operators, KG_RULE_CORRECTION, 1, (kg_value[KG_RULE_OPERANDS]){q});
 }

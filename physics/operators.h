@@ -4,6 +4,7 @@
 #ifndef PHYSICS_OPERATORS_H
 #define PHYSICS_OPERATORS_H
 
+#include "kinegrad/correction.h"
 #include "kinegrad/dynamics_operators.h"
 #include "kinegrad/primitive.h"
 
@@ -17,6 +18,7 @@ typedef enum kg_rule_size {
   KG_RULE_JOINTS, /* (n, 3)           */
   KG_RULE_POINTS, /* (point_count, 3) */
   KG_RULE_BOTH,   /* (nq + nv)        */
+  KG_RULE_ONE,    /* (1)              */
   KG_RULE_LAW,    /* (6), shared      */
   KG_RULE_MASSES, /* (n), shared      */
   KG_RULE_OFFSETS /* (n, 3), shared   */
@@ -50,6 +52,8 @@ typedef enum kg_rule_name {
   KG_RULE_POINT_FORCES,
   KG_RULE_CONTACT_FORCES,
   KG_RULE_STEP,
+  KG_RULE_COLLISION,
+  KG_RULE_CORRECTION,
   KG_RULE_COUNT
 } kg_rule_name;
 
@@ -72,6 +76,7 @@ struct kg_dynamics_operators {
   kg_contact_params law;
   kg_step *step;
   kg_dynamics *dynamics;
+  kg_correction *correction; /* of `source` */
   double dt;
   double *q, *q_bar; /* nq, nv: of the item               */
   double *end_bar;   /* nv: adjoint of q', tangent        */

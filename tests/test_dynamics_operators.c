@@ -295,6 +295,28 @@ static void contact_and_step_pass_the_gradient_check(void **state)
   release(f);
 }
 
+/* 2 cm below where it touches: the loss, then the pose carried out */
+static kg_value record_correction(kg_tape *t, kg_value x, void *user)
+{
+  const recipe *r = user;
+  const kg_value q = kg_add(t, kg_constant(t, KG_SHAPE(NQ), r->f->q), kg_scale(t, x, 1e-3));
+  if (r->kind == 0) return kg_scale(t, kg_collision_loss(t, r->f->operators, q), 1e3);
+  return kg_corrected_pose(t, r->f->operators, q);
+}
+
+static void penetration_passes_the_gradient_check(void **state)
+{
+  (void)state;
+  fixture *f = fixture_of(25);
+  double x[NQ] = {0.0};
+  set_down(f, -0.02);
+  recipe r = {f, 0};
+  check("collision_loss", record_correction, &r, NQ, x, 1e-9);
+  r.kind = 1;
+  check("corrected_pose", record_correction, &r, NQ, x, 1e-6);
+  release(f);
+}
+
 /* Gradients by q are orthogonal to every quaternion, whatever its length. */
 static void gradients_are_tangent_to_the_sphere(void **state)
 {
@@ -537,6 +559,7 @@ int main(void)
     cmocka_unit_test(values_equal_plain_calls),
     cmocka_unit_test(smooth_operators_pass_the_gradient_check),
     cmocka_unit_test(contact_and_step_pass_the_gradient_check),
+    cmocka_unit_test(penetration_passes_the_gradient_check),
     cmocka_unit_test(gradients_are_tangent_to_the_sphere),
     cmocka_unit_test(adjoints_equal_complex_steps),
     cmocka_unit_test(forward_adjoint_equals_the_matrices),

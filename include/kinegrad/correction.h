@@ -70,6 +70,27 @@ KG_API kg_correction_report kg_correction_apply(kg_correction *correction, doubl
 KG_API double kg_penetration(kg_correction *correction, const double *q, double *L_coll,
                              double *gradient);
 
+/* One step of the method from q and no more, to look at how it converges. Returns d_pen after it; q
+ * stays where no step is found. */
+KG_API double kg_correction_step(kg_correction *correction, double *q);
+
+/* ---- derivative of the corrected pose --------------------------------------------------------
+ *
+ * By the implicit function theorem at the least move, for both methods, which end there: q_after is
+ * what kg_correction_apply made of q_before, with kkt_tolerance set (1e-10 say; without it the
+ * derivative is that of a move which is only nearly the least). Tangent spaces at both poses.
+ * The corrected pose has a kink where a point begins or ceases to carry: there the derivative is that
+ * of the side on which it does not. At the tolerance, where the correction sets in, it jumps by up
+ * to the tolerance. A pose that was left as it is has the identity. False, and nothing written or
+ * added, where the system has no inverse: two least moves meet. */
+
+/* Adds J' after_bar to before_bar; [nv] each. */
+KG_API bool kg_correction_vjp(kg_correction *correction, const double *q_before,
+                              const double *q_after, const double *after_bar, double *before_bar);
+/* J[nv*nv] = d q_after / d q_before, row-major */
+KG_API bool kg_correction_jacobian(kg_correction *correction, const double *q_before,
+                                   const double *q_after, double *J);
+
 #ifdef __cplusplus
 }
 #endif

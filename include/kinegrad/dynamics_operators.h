@@ -66,6 +66,14 @@ KG_API kg_value kg_implicit_step(kg_tape *tape, kg_dynamics_operators *operators
                                  kg_value v, kg_value tau, kg_value law, kg_value masses,
                                  kg_value offsets);
 
+/* L_coll of a pose, Eq. 10 (correction.h), in the step's scene -> (..., 1), m^2. */
+KG_API kg_value kg_collision_loss(kg_tape *tape, kg_dynamics_operators *operators, kg_value q);
+
+/* The pose carried out of the scene by the least move (correction.h) -> (..., nq). Where a point
+ * begins or ceases to carry the gradient is one-sided. A pose that does not come out, or not by a
+ * move that is the least to 1e-8 kg^1/2 m, has no value: KG_ERR_UNDEFINED. */
+KG_API kg_value kg_corrected_pose(kg_tape *tape, kg_dynamics_operators *operators, kg_value q);
+
 #ifdef __cplusplus
 }
 #endif
