@@ -128,7 +128,6 @@ kg_status kg_dynamics_create(kg_dynamics **dynamics, const kg_body *body,
   kg_tree_init(&made.tree, body, &arena);
   kg_chain_init(&made.chain, body, &arena);
   kg_tree_matrix_init(&made.A, &made.tree, &arena);
-  kg_tree_matrix_init(&made.M, &made.tree, &arena);
   made.forward = KG_ARENA_ARRAY(&arena, double, body->nv);
   if (kg_arena_failed(&arena)) {
     kg_arena_release(&arena);
@@ -378,48 +377,29 @@ void kg_dynamics_inverse_derivatives(kg_dynamics *dynamics, double *dtau_dq, dou
   d->kernels->derivatives(d, dtau_dq, dtau_dv, M);
 }
 
-/* X := -M^-1 X with the factors of M */
-static void solve_negative(const kg_dynamics *d, double *out)
-{
-  const int nv = d->body->nv;
-  for (int k = 0; k < nv * nv; k++) {
-    out[k] = -out[k];
-  }
-  kg_tree_solve_many(&d->tree, &d->M, out, nv);
-}
-
-/* With ID(q, v, a) = tau held: dID/dq dq + M da = 0. */
+/* The articulated-body algorithm differentiated (theory, section 4b); -M^-1 dID would lose the condition
+ * of M. */
 void kg_dynamics_forward_derivatives(kg_dynamics *dynamics, double *da_dq, double *da_dv,
                                      double *da_dtau, double *a, const double *q, const double *v,
                                      const double *tau)
 {
   kg_dynamics *d = dynamics;
   const int nv = d->body->nv;
+  const kg_lanes_dense out = {da_dq, da_dv, da_dtau};
   kg_dynamics_forward(d, d->forward, q, v, tau);
-  if (a) {
-    memcpy(a, d->forward, (size_t)nv * sizeof *a);
-  }
-  prepare_derivatives(d, q, v, d->forward);
-  d->kernels->mass_matrix(d, &d->M);
-  const bool regular = kg_tree_factor(&d->tree, &d->M);
-  d->kernels->derivatives(d, da_dq, da_dv, NULL);
-  if (da_dq) {
-    solve_negative(d, da_dq);
-  }
-  if (da_dv) {
-    solve_negative(d, da_dv);
-  }
-  if (da_dtau) {
-    for (int k = 0; k < nv * nv; k++) {
-      da_dtau[k] = k % (nv + 1) == 0 ? 1.0 : 0.0;
-    }
-    kg_tree_solve_many(&d->tree, &d->M, da_dtau, nv);
+  d->kernels->one->forward_derivatives(d->model, &d->tree, &out, q, v, d->forward, tau);
+  bool regular = true;
+  for (int k = 0; k < nv; k++) {
+    regular = regular && isfinite(d->forward[k]);
   }
   double *outputs[3] = {da_dq, da_dv, da_dtau};
   for (int k = 0; k < 3 * nv * nv && !regular; k++) { /* M is singular: no derivative */
     if (outputs[k / (nv * nv)]) {
       outputs[k / (nv * nv)][k % (nv * nv)] = NAN;
     }
+  }
+  if (a) {
+    memcpy(a, d->forward, (size_t)nv * sizeof *a);
   }
 }
 

@@ -135,9 +135,9 @@ struct kg_dynamics {
   kg_pencil *pencil; /* blocks */
   kg_rows *G;        /* blocks: (2 B)' S of the rows of the dense derivatives */
   kg_tree tree;
-  kg_chain chain;      /* motion and its adjoints, chain.h      */
-  kg_tree_matrix A, M; /* scratch of derivatives */
-  double *forward;     /* nv: acceleration of the public derivatives of forward dynamics */
+  kg_chain chain;   /* motion and its adjoints, chain.h      */
+  kg_tree_matrix A; /* scratch of derivatives of the step */
+  double *forward;  /* nv: acceleration of the public derivatives of forward dynamics */
   const kg_physics_kernels *kernels;
   struct kg_model *model; /* for the recursive algorithms */
   double *lanes[4];       /* eight frames: nq or nv numbers of each */

@@ -169,9 +169,7 @@ static void derivatives_match_complex_steps(void **unused)
       for (int which = 0; which < 3; which++) {
         const double e =
           compare_columns(&c, body, kg_number_kernels_2_test.forward, &s, tau, which, D[which]);
-        /* rounding of dID grows by the condition number of M: large where links weigh nothing or
-         * a random tree has long chains */
-        assert_at_most(e, kind == MASSLESS || kind == THIRTY_SEVEN ? 1e-11 : 1e-12);
+        assert_at_most(e, 1e-12);
         worst[1] = fmax(worst[1], e);
       }
     }

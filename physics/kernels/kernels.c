@@ -38,7 +38,6 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .prepare_mass = prepare_mass,
   .pencil = make_pencil,
   .jacobian = jacobian,
-  .mass_matrix = mass_matrix,
   .derivatives = derivatives,
   .dense_mass = dense_mass,
   .to_lanes = to_lanes,

@@ -88,7 +88,6 @@ struct kg_physics_kernels {
   void (*prepare_mass)(kg_dynamics *d);
   void (*pencil)(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);
   void (*jacobian)(const kg_dynamics *d, kg_tree_matrix *A);
-  void (*mass_matrix)(const kg_dynamics *d, kg_tree_matrix *A);
   /* dense nv x nv, each may be NULL */
   void (*derivatives)(kg_dynamics *d, double *by_q, double *by_v, double *by_a);
   void (*dense_mass)(kg_dynamics *d, double *M);
