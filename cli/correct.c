@@ -26,6 +26,7 @@ typedef struct correct_values {
   double gravity;
   cli_paths scene;
   double scene_unit;
+  const char *with;
   const char *forces;
   const char *json;
   int threads;
@@ -38,8 +39,8 @@ typedef struct correction {
   cli_output *bvh, *csv, *json;
   kg_mesh *meshes[CLI_MAX_PATHS];
   kg_scene scene;
-  kg_clip *clip;
-  kg_subject *subject;
+  kg_clip *clip, *other_clip;
+  kg_subject *subject, *other;
   kg_correct_def def;
   kg_correct_result *result;
   kg_metrics *metrics;
@@ -90,8 +91,9 @@ static int check_values(const correct_values *values)
  * the file that was found by name, "" before it was looked for. */
 static int check_overwriting(const correct_values *values, const char *clip, const char *skeleton)
 {
-  enum { CLIP, SKELETON, ASF, MAP, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_PATHS };
-  const char *inputs[MOST] = {clip, skeleton, values->reading.asf, values->reading.map};
+  enum { CLIP, SKELETON, ASF, MAP, OTHER, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_PATHS };
+  const char *inputs[MOST] = {clip, skeleton, values->reading.asf, values->reading.map,
+                              values->with};
   const int count = FIRST_MESH + values->scene.count;
   for (int i = 0; i < values->scene.count; i++) {
     inputs[FIRST_MESH + i] = values->scene.path[i];
@@ -135,6 +137,39 @@ static int read_scene(correction *c)
   return CLI_GOOD;
 }
 
+/* What happens when one of the clips ends first */
+static void tell_ends(const correction *c)
+{
+  const double own = (c->subject->frame_count - 1) * c->subject->dt;
+  const double other = (c->other->frame_count - 1) * c->other->dt;
+  if (other < own - 0.5 * c->subject->dt) {
+    cli_warning(c->values->talk.quiet,
+                "%s ends at %.3f s, %s at %.3f s: from then on the other athlete is not there",
+                c->values->with, other, c->clip->source.path, own);
+  } else if (other > own + 0.5 * c->other->dt) {
+    cli_warning(c->values->talk.quiet,
+                "%s ends at %.3f s, %s at %.3f s: the rest of it is not used", c->clip->source.path,
+                own, c->values->with, other);
+  }
+}
+
+static int read_other(correction *c)
+{
+  const correct_values *values = c->values;
+  const int code =
+    cli_read_clip(&c->other_clip, values->with, &values->reading, values->talk.quiet);
+  return code == CLI_GOOD ? cli_create_subject(&c->other, c->other_clip, &values->reading, NULL)
+                          : code;
+}
+
+static int create_subject(correction *c)
+{
+  kg_subject_def around = kg_subject_default_def();
+  around.extra = &c->scene;
+  around.other = c->other;
+  return cli_create_subject(&c->subject, c->clip, &c->values->reading, &around);
+}
+
 static int interrupted(void)
 {
   cli_message("interrupted; nothing was written");
@@ -151,8 +186,14 @@ static int read_inputs(correction *c, const char *path)
   if (code == CLI_GOOD) {
     code = read_scene(c);
   }
+  if (code == CLI_GOOD && values->with) {
+    code = read_other(c);
+  }
   if (code == CLI_GOOD) {
-    code = cli_create_subject(&c->subject, c->clip, &values->reading, &c->scene);
+    code = create_subject(c);
+  }
+  if (code == CLI_GOOD && c->other) {
+    tell_ends(c);
   }
   return code == CLI_GOOD && cli_interrupted() ? interrupted() : code;
 }
@@ -376,6 +417,11 @@ static json_t *report(const correction *c)
   json_object_set_new(root, "newton", newton_object(c));
   cli_json_set_integer(root, "sdf_iterations", r->sdf_iterations);
   cli_report_source(root, c->clip, c->subject);
+  if (c->other) {
+    json_t *other = json_object();
+    cli_report_source(other, c->other_clip, c->other);
+    json_object_set_new(root, "other", other);
+  }
   json_object_set_new(root, "constants", constants_object(c));
   json_object_set_new(root, "joints", joints_object(c));
   json_object_set_new(root, "frames", frames_object(c));
@@ -504,7 +550,9 @@ static void release(correction *c)
   kg_metrics_destroy(c->metrics);
   kg_correct_result_destroy(c->result);
   kg_subject_destroy(c->subject);
+  kg_subject_destroy(c->other);
   kg_clip_destroy(c->clip);
+  kg_clip_destroy(c->other_clip);
   for (int i = 0; i < CLI_MAX_PATHS; i++) {
     kg_mesh_destroy(c->meshes[i]);
   }
@@ -613,6 +661,14 @@ static const cli_option method_options[] = {
    .minimum = 1e-6,
    .maximum = 1000.0,
    .offset = offsetof(correct_values, scene_unit)},
+  {.name = "with",
+   .kind = CLI_PATH,
+   .value_name = "CLIP",
+   .summary = "another athlete's clip of the same session, who is in the way",
+   .details = "Read as the clip itself is, in the same world; time 0 is the first motion frame of "
+              "both, frame rates may differ. Its body is a moving part of the scene: it is touched "
+              "and kept out of, but not changed. The report has the other_ rows then.",
+   .offset = offsetof(correct_values, with)},
   {.name = "threads",
    .kind = CLI_INT,
    .value_name = "N",
@@ -656,7 +712,8 @@ const cli_command cli_command_correct = {
     (const char *const[]){
       "kinegrad correct walk.bvh -o walk_fixed.bvh",
       "kinegrad correct walk.bvh -o walk_fixed.bvh --method sdf --json report.json",
-      "kinegrad correct walk.bvh -o walk_fixed.bvh --forces forces.csv --mass 62", NULL},
+      "kinegrad correct walk.bvh -o walk_fixed.bvh --forces forces.csv --mass 62",
+      "kinegrad correct a.bvh -o a_fixed.bvh --with b.bvh", NULL},
   .groups = groups,
   .group_count = KG_COUNT_OF(groups),
   .operand_count = 1,

@@ -134,15 +134,14 @@ kg_status cli_read_output(kg_clip **clip, const char *path, const kg_clip *captu
 }
 
 int cli_create_subject(kg_subject **subject, const kg_clip *clip, const cli_reading *reading,
-                       const kg_scene *extra)
+                       const kg_subject_def *around)
 {
-  kg_subject_def def = kg_subject_default_def();
+  kg_subject_def def = around ? *around : kg_subject_default_def();
   def.map_path = reading->map;
   def.floor_given = !isnan(reading->floor);
   def.floor_height = def.floor_given ? reading->floor : 0.0;
   def.mass_kg = reading->mass;
   def.sex = (kg_sex)reading->sex;
-  def.extra = extra;
   kg_error error = {0};
   if (kg_subject_create(subject, clip, &def, &error) == KG_OK) {
     return CLI_GOOD;

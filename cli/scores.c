@@ -24,6 +24,9 @@ const cli_score cli_scores[] = {
   ROW(jerk_rms,                      false, "m/s^3"),
   ROW(spectral_arc_length,           false, "smoothness, nearer to 0 is smoother"),
   ROW(foot_skate_ratio,              false, "share of grounded node-frames above 0.1 m/s"),
+  ROW(other_penetration_events,      false, "share of frames deeper than 1 mm in the other athlete"),
+  ROW(other_penetration_max_m,       false, "deepest point in the other athlete, m"),
+  ROW(other_frames,                  false, "frames with a point inside the other athlete"),
 };
 /* clang-format on */
 const int cli_score_count = (int)KG_COUNT_OF(cli_scores);
@@ -58,8 +61,10 @@ void cli_print_scores(FILE *out, const kg_metrics *metrics)
   cli_print_score(out, "acceleration_peak_ratio", 1.0, metrics->acceleration_peak_ratio,
                   "worst joint, output over capture");
   for (int i = 0; i < cli_score_count; i++) {
-    cli_print_score(out, cli_scores[i].key, cli_score_value(&metrics->capture, i),
-                    cli_score_value(&metrics->output, i), cli_scores[i].text);
+    const double capture = cli_score_value(&metrics->capture, i);
+    const double output = cli_score_value(&metrics->output, i);
+    if (isnan(capture) && isnan(output)) continue; /* of what is not there */
+    cli_print_score(out, cli_scores[i].key, capture, output, cli_scores[i].text);
   }
 }
 
@@ -97,6 +102,10 @@ json_t *cli_frames_object(const kg_subject *subject, const kg_metrics *metrics)
                       cli_json_numbers(metrics->mpjpe_frame_m, metrics->frame_count));
   json_object_set_new(object, "penetration_m",
                       cli_json_numbers(metrics->penetration_frame_m, metrics->frame_count));
+  if (subject->other) {
+    json_object_set_new(object, "other_penetration_m",
+                        cli_json_numbers(metrics->other_penetration_frame_m, metrics->frame_count));
+  }
   return object;
 }
 
@@ -116,6 +125,7 @@ json_t *cli_constants_object(void)
 {
   json_t *object = json_object();
   cli_json_set_number(object, "event_depth_m", KG_METRIC_EVENT_DEPTH_M);
+  cli_json_set_number(object, "touch_depth_m", KG_METRIC_TOUCH_DEPTH_M);
   cli_json_set_number(object, "slip_height_m", KG_METRIC_SLIP_HEIGHT_M);
   cli_json_set_number(object, "momentum_dt_s", KG_METRIC_MOMENTUM_DT_S);
   cli_json_set_number(object, "smoothing_hz", KG_METRIC_SMOOTHING_HZ);

@@ -38,6 +38,10 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
       kg_dynamics_create(&m->dynamics, body, subject->allocator) != KG_OK) {
     return false;
   }
+  if (subject->other &&
+      kg_stage_create(&m->other, subject, KG_STAGE_OTHER_ONLY, subject->allocator) != KG_OK) {
+    return false;
+  }
   for (int i = 0; i < body->segment_count; i++) {
     int count = 0;
     for (int k = 0; k < body->point_count; k++) {
@@ -60,7 +64,9 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
 
 void kg_measure_release(kg_measure *m)
 {
+  kg_stage_destroy(m->other);
   kg_dynamics_destroy(m->dynamics);
+  m->other = NULL;
   m->dynamics = NULL;
 }
 
@@ -128,6 +134,30 @@ void kg_measure_probe(kg_measure *m, const double *q, kg_probe *probe)
   }
 }
 
+/* d_pen of the pose in m->p and m->R, frame t, in the other athlete */
+static double depth_in_other(kg_measure *m, int t)
+{
+  const kg_body *body = m->subject->body;
+  const kg_scene *scene = kg_stage_scene(m->other);
+  kg_stage_set(m->other, t * m->dt, m->p[0]);
+  double depth = 0.0;
+  for (int k = 0; k < body->point_count && scene->shape_count > 0; k++) {
+    const int i = body->points[k].segment;
+    const kg_vec3 x = kg_vec3_add(m->p[i], kg_mat3_mul_vec(m->R[i], body->points[k].p));
+    depth = fmax(depth, -kg_scene_distance(scene, x).distance);
+  }
+  return depth;
+}
+
+static void measure_other(kg_measure *m, int t, double *in_other, kg_motion_metrics *out)
+{
+  const double depth = depth_in_other(m, t);
+  out->other_penetration_max_m = fmax(out->other_penetration_max_m, depth);
+  out->other_penetration_events += depth > KG_METRIC_EVENT_DEPTH_M ? 1.0 / m->T : 0.0;
+  out->other_frames += depth > KG_METRIC_TOUCH_DEPTH_M;
+  if (in_other) in_other[t] = depth;
+}
+
 /* ---- slip ------------------------------------------------------------------------------------ */
 
 typedef struct slip_sum {
@@ -172,7 +202,7 @@ static kg_centroid centroid_between(kg_measure *m, const double *before, const d
 }
 
 static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, double *penetration,
-                           kg_motion_metrics *out)
+                           double *in_other, kg_motion_metrics *out)
 {
   const kg_body *body = m->subject->body;
   const size_t n = (size_t)body->segment_count, nq = (size_t)body->nq;
@@ -191,6 +221,7 @@ static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, doub
     if (penetration) {
       penetration[t] = d_pen;
     }
+    if (m->other) measure_other(m, t, in_other, out);
     m->flight[t] = now->lowest > KG_METRIC_BALANCE_HEIGHT_M;
     if (t > 0) {
       add_slip(&slip, &m->probe[(t - 1) & 1], now, m->dt);
@@ -288,10 +319,12 @@ static void measure_resampled(kg_measure *m, const double *q, kg_motion_metrics 
 }
 
 kg_motion_metrics kg_measure_motion(kg_measure *m, const double *q, kg_vec3 *joints,
-                                    double *penetration)
+                                    double *penetration, double *in_other)
 {
   kg_motion_metrics out = {0};
-  measure_frames(m, q, joints, penetration, &out);
+  if (!m->other)
+    out.other_penetration_events = out.other_penetration_max_m = out.other_frames = NAN;
+  measure_frames(m, q, joints, penetration, in_other, &out);
   measure_drift(m, &out);
   measure_resampled(m, q, &out);
   out.validity = kg_metric_validity(out.angular_momentum_change, out.slip_50hz_m);

@@ -5,6 +5,7 @@
 #include "kinegrad/arena.h"
 #include "kinegrad/dynamics.h"
 #include "kinegrad/metrics.h"
+#include "kinegrad/stage.h"
 
 enum {
   KG_PROBE_PER_SEGMENT = 8, /* lowest samples of a segment that may carry force, sole nodes apart */
@@ -39,6 +40,7 @@ typedef struct kg_ball {
 typedef struct kg_measure {
   const kg_subject *subject;
   kg_dynamics *dynamics;
+  kg_stage *other; /* the other athlete alone, NULL: none */
   int T;           /* motion frames                       */
   double dt;       /* s                                   */
   kg_ball *bounds; /* (n) around the points of a segment  */
@@ -65,9 +67,9 @@ bool kg_measure_create(kg_measure *measure, const kg_subject *subject, kg_arena 
 void kg_measure_release(kg_measure *measure);
 
 /* All metrics of a motion (T, nq). joints (T, n): world positions of the joints, out.
- * penetration (T), may be NULL: d_pen, out. */
+ * penetration, in_other (T), may be NULL: d_pen in the scene and in the other athlete, out. */
 kg_motion_metrics kg_measure_motion(kg_measure *measure, const double *q, kg_vec3 *joints,
-                                    double *penetration);
+                                    double *penetration, double *in_other);
 
 /* The pose against the scene; fills probe, leaves the pose in measure->p and R. */
 void kg_measure_probe(kg_measure *measure, const double *q, kg_probe *probe);

@@ -79,6 +79,7 @@ static kg_metrics *allocate(const kg_subject *subject)
   const int n = subject->body->segment_count, T = subject->frame_count;
   double *joint = KG_ARENA_ARRAY(&arena, double, n), *frame = KG_ARENA_ARRAY(&arena, double, T);
   double *penetration = KG_ARENA_ARRAY(&arena, double, T);
+  double *in_other = KG_ARENA_ARRAY(&arena, double, T);
   if (kg_arena_failed(&arena)) {
     kg_arena_release(&arena);
     return NULL;
@@ -89,6 +90,7 @@ static kg_metrics *allocate(const kg_subject *subject)
                     .mpjpe_joint_m = joint,
                     .mpjpe_frame_m = frame,
                     .penetration_frame_m = penetration,
+                    .other_penetration_frame_m = in_other,
                     .allocator = subject->allocator,
                     .memory = owner};
   return m;
@@ -109,8 +111,9 @@ kg_status kg_metrics_create(kg_metrics **metrics, const kg_subject *subject, con
   kg_measure measure;
   const bool ready = kg_measure_create(&measure, subject, &scratch);
   if (ready) {
-    m->capture = kg_measure_motion(&measure, subject->q, capture, NULL);
-    m->output = kg_measure_motion(&measure, q_out, output, m->penetration_frame_m);
+    m->capture = kg_measure_motion(&measure, subject->q, capture, NULL, NULL);
+    m->output = kg_measure_motion(&measure, q_out, output, m->penetration_frame_m,
+                                  m->other_penetration_frame_m);
     measure_error(m, capture, output);
     measure_peaks(m, capture, output, subject->dt);
   }

@@ -19,6 +19,7 @@
 
 #include "kinegrad/correction.h"
 #include "kinegrad/dynamics.h"
+#include "kinegrad/stage.h"
 
 #include <pthread.h>
 #include <string.h>
@@ -46,6 +47,7 @@ typedef struct smoothing {
   const kg_subject *subject;
   const kg_body *body;
   kg_dynamics *dynamics;
+  kg_stage *stage;
   kg_correct_result *result;
   int T, nv;
   double *D;           /* (T, nv) change                      */
@@ -115,13 +117,14 @@ static void row_add(const smoothing *s, const row *r, double y, double *D)
   }
 }
 
-/* the pose of frame t at q (+) D */
+/* the pose of frame t at q (+) D, and the scene then */
 static void pose_frame(smoothing *s, int t)
 {
   const size_t nq = (size_t)s->body->nq;
   double *q = s->result->q + (size_t)t * nq; /* scratch: the result is written at the end */
   kg_body_integrate(s->body, q, s->subject->q + (size_t)t * nq, s->D + (size_t)t * (size_t)s->nv);
   kg_dynamics_pose(s->dynamics, q, s->p, s->R);
+  kg_stage_set(s->stage, t * s->subject->dt, s->p[0]);
 }
 
 /* One pass over all points and frames: counts rows and entries, and writes them when there is memory
@@ -137,7 +140,7 @@ static void pass_rows(smoothing *s, bool *low)
       const kg_body_point *point = &s->body->points[k];
       const kg_vec3 x =
         kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
-      const kg_sdf_value value = kg_scene_distance(&s->subject->scene, x);
+      const kg_sdf_value value = kg_scene_distance(kg_stage_scene(s->stage), x);
       if (value.distance >= NEAR_M) {
         continue;
       }
@@ -281,6 +284,7 @@ static bool is_zero(const double *x, int n)
 typedef struct finisher {
   const smoothing *s;
   const kg_correct_def *def;
+  kg_stage *stage;
   kg_correction *correction;
   int first, end;
   bool reports; /* progress comes from the calling thread only */
@@ -302,6 +306,7 @@ static void *finish_share(void *user)
     } else {
       kg_body_integrate(s->body, q, captured, D);
     }
+    kg_stage_set(f->stage, t * s->subject->dt, kg_vec3_make(q[0], q[1], q[2]));
     const kg_correction_report report = kg_correction_apply(f->correction, q, NULL, NULL);
     s->result->penetration[t] = report.d_pen_after;
     f->iterations += report.iterations;
@@ -320,8 +325,6 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
 {
   finisher workers[MAX_THREADS] = {{0}};
   const int count = def->threads < 1 ? 1 : def->threads > MAX_THREADS ? MAX_THREADS : def->threads;
-  kg_correction_def cd = kg_correction_default_def(s->body, &s->subject->scene);
-  cd.allocator = def->allocator;
   kg_status status = KG_OK;
   for (int i = 0; i < count && status == KG_OK; i++) {
     workers[i] = (finisher){.s = s,
@@ -329,6 +332,10 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
                             .reports = i == 0 && def->progress,
                             .first = (int)((long)s->T * i / count),
                             .end = (int)((long)s->T * (i + 1) / count)};
+    status = kg_stage_create(&workers[i].stage, s->subject, KG_STAGE_ALL, def->allocator);
+    if (status != KG_OK) break;
+    kg_correction_def cd = kg_correction_default_def(s->body, kg_stage_scene(workers[i].stage));
+    cd.allocator = def->allocator;
     status = kg_correction_create(&workers[i].correction, &cd);
   }
   int started = 1;
@@ -349,6 +356,7 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
     s->result->sdf_iterations += workers[i].iterations;
     s->result->interrupted = s->result->interrupted || workers[i].interrupted;
     kg_correction_destroy(workers[i].correction);
+    kg_stage_destroy(workers[i].stage);
   }
   return status;
 }
@@ -366,7 +374,10 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   if (kg_arena_failed(arena)) {
     return KG_ERR_NO_MEMORY;
   }
-  const kg_status status = kg_dynamics_create(&s->dynamics, s->body, arena->allocator);
+  kg_status status = kg_dynamics_create(&s->dynamics, s->body, arena->allocator);
+  if (status == KG_OK) {
+    status = kg_stage_create(&s->stage, s->subject, KG_STAGE_ALL, arena->allocator);
+  }
   if (status == KG_OK) {
     kg_dynamics_mass_matrix(s->dynamics, M, s->subject->q);
     for (size_t j = 0; j < nv; j++) {
@@ -405,6 +416,7 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
     }
   }
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
+  kg_stage_destroy(s.stage);
   kg_dynamics_destroy(s.dynamics);
   kg_arena_release(&s.row_memory);
   kg_arena_release(&scratch);

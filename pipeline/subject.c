@@ -1,4 +1,5 @@
 /* From clip to subject: mapping, floor and feet, body, scene, states. */
+#include "kinegrad/stage.h"
 #include "pipeline/pipeline.h"
 
 #include <string.h>
@@ -8,15 +9,42 @@ kg_subject_def kg_subject_default_def(void)
   return (kg_subject_def){.mass_kg = 70.0, .sex = KG_SEX_MEAN};
 }
 
-static kg_status build_scene(kg_subject *subject, const kg_scene *extra, kg_error *error)
+/* The shapes of `extra` behind the plane, with its places and grounds: only numbers of children
+ * shift. The cover of the plane comes last. */
+static kg_status build_scene(kg_subject *subject, const kg_subject_def *def, kg_error *error)
 {
-  subject->scene = kg_scene_ground(subject->floor.height, subject->floor.normal);
+  kg_scene *scene = &subject->scene;
+  *scene = kg_scene_ground(subject->floor.height, subject->floor.normal);
+  const kg_scene *extra = def->extra;
+  if (extra) {
+    scene->place_count = extra->place_count;
+    scene->ground_count = extra->ground_count;
+    memcpy(scene->places, extra->places, sizeof scene->places);
+    memcpy(scene->grounds, extra->grounds, sizeof scene->grounds);
+  }
   for (int i = 0; extra && i < extra->shape_count; i++) {
-    if (!kg_scene_add(&subject->scene, &extra->shapes[i])) {
+    kg_sdf_shape shape = extra->shapes[i];
+    shape.children[0]++;
+    shape.children[1]++;
+    if (!kg_scene_add(scene, &shape)) {
       return kg_fail(error, KG_ERR_UNSUPPORTED, NULL, 0, 0, "the scene has more than %d shapes",
                      KG_SCENE_MAX_SHAPES);
     }
   }
+  if (def->ground && !(scene->shapes[0].ground = kg_scene_add_ground(scene, def->ground))) {
+    return kg_fail(error, KG_ERR_UNSUPPORTED, NULL, 0, 0, "the scene has more than %d soft layers",
+                   KG_SCENE_MAX_GROUNDS);
+  }
+  if (def->ground) { /* the soles stood on the layer: the core is below */
+    kg_sdf_shape *plane = &scene->shapes[0];
+    plane->a = kg_vec3_add_scaled(plane->a, -def->ground->thickness, plane->b);
+  }
+  if (def->other && !kg_stage_has_room(scene, def->other->body)) {
+    return kg_fail(error, KG_ERR_UNSUPPORTED, NULL, 0, 0,
+                   "the scene has no room for the %d shapes of the other athlete",
+                   def->other->body->shape_count);
+  }
+  subject->other = def->other;
   return KG_OK;
 }
 
@@ -75,7 +103,7 @@ kg_status kg_subject_create(kg_subject **subject, const kg_clip *clip, const kg_
   if (status == KG_OK && kg_floor_estimate(&s->floor, clip, &s->mapping) != KG_OK) {
     status = no_memory(error);
   }
-  if (status == KG_OK) status = build_scene(s, def->extra, error);
+  if (status == KG_OK) status = build_scene(s, def, error);
   if (status == KG_OK) status = build_body(s, clip, def, error);
   if (status == KG_OK) {
     s->q = KG_ARENA_ARRAY(&arena, double, (size_t)s->frame_count *(size_t)s->body->nq);

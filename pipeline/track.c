@@ -28,6 +28,7 @@
 #include "kinegrad/dense.h"
 #include "kinegrad/dynamics.h"
 #include "kinegrad/filter.h"
+#include "kinegrad/stage.h"
 #include "kinegrad/step.h"
 
 #include <string.h>
@@ -67,6 +68,7 @@ typedef struct tracker {
   kg_correct_result *result;
   double h;
   kg_dynamics *dynamics;
+  kg_stage *stage; /* the scene at the end of the step */
   kg_step *step;
   kg_correction *correction;
   double *q, *v, *q_next, *v_next; /* state before and after the step               */
@@ -186,7 +188,7 @@ static void find_supports(tracker *s)
   s->support_count = s->kept_out_count = 0;
   for (int k = 0; k < s->body->point_count; k++) {
     support new = {.point = k, .x = point_at(s, k)};
-    const kg_sdf_value value = kg_scene_distance(&s->subject->scene, new.x);
+    const kg_sdf_value value = kg_scene_distance(kg_stage_scene(s->stage), new.x);
     new.phi = value.distance;
     new.normal = value.normal;
     const int foot = foot_of(s->body, s->body->points[k].segment);
@@ -548,7 +550,7 @@ static void record_contacts(tracker *s, int t, const kg_step_report *report)
     if (normal[f] > 0.0) {
       const kg_vec3 cop = kg_vec3_scale(1.0 / normal[f], weighted[f]);
       /* on the ground, not at the height of the nodes */
-      const kg_sdf_value ground = kg_scene_distance(&s->subject->scene, cop);
+      const kg_sdf_value ground = kg_scene_distance(kg_stage_scene(s->stage), cop);
       feet[f].cop = kg_vec3_add_scaled(cop, -ground.distance, ground.normal);
       for (int c = 0; c < report->contact_count; c++) {
         const kg_step_contact *contact = &report->contacts[c];
@@ -651,6 +653,7 @@ static void take_step(tracker *s, int k, int t)
 {
   kg_correct_result *out = s->result;
   const double start = now_ms();
+  kg_stage_set(s->stage, k * s->h, kg_vec3_make(s->q[0], s->q[1], s->q[2]));
   ask_feedback(s, k);
   choose(s, k);
   find_torques(s);
@@ -799,9 +802,12 @@ static kg_status tracker_create(tracker *s, kg_arena *arena)
   const kg_vec3 gravity = kg_vec3_make(0.0, -s->def->gravity, 0.0);
   kg_status status = kg_dynamics_create(&s->dynamics, s->body, arena->allocator);
   if (status == KG_OK) {
+    status = kg_stage_create(&s->stage, s->subject, KG_STAGE_ALL, arena->allocator);
+  }
+  if (status == KG_OK) {
     kg_dynamics_set_gravity(s->dynamics, gravity);
     kg_step_def step = kg_step_default_def(s->body);
-    step.scene = &s->subject->scene;
+    step.scene = kg_stage_scene(s->stage);
     step.contact = s->def->contact;
     step.gravity = gravity;
     step.joint_damping = s->params->joint_damping;
@@ -809,7 +815,7 @@ static kg_status tracker_create(tracker *s, kg_arena *arena)
     status = kg_step_create(&s->step, &step);
   }
   if (status == KG_OK) {
-    kg_correction_def correction = kg_correction_default_def(s->body, &s->subject->scene);
+    kg_correction_def correction = kg_correction_default_def(s->body, kg_stage_scene(s->stage));
     correction.allocator = arena->allocator;
     status = kg_correction_create(&s->correction, &correction);
   }
@@ -820,6 +826,7 @@ static void tracker_destroy(tracker *s)
 {
   kg_correction_destroy(s->correction);
   kg_step_destroy(s->step);
+  kg_stage_destroy(s->stage);
   kg_dynamics_destroy(s->dynamics);
 }
 

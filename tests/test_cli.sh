@@ -333,6 +333,25 @@ rm out/x.bvh
 
 # ---- correct -------------------------------------------------------------------------------------
 
+# ---- another athlete -----------------------------------------------------------------------------
+
+# the same walk 0.62 m (62 units) to the side: an arm is in the other's
+awk '/^Frame Time/ {print; data = 1; next} data && NF > 3 {$1 += 62} {print}' "$data/walker.bvh" >beside.bvh
+run 0 correct "$data/walker.bvh" -o out/two.bvh --method sdf --with beside.bvh --json out/two.json --quiet
+claim "they were in each other" test "$("$json_get" out/two.json capture.other_frames)" = 15.0
+claim "and are no longer" test "$("$json_get" out/two.json other_frames)" = 0.0
+claim "the other is described" "$json_get" out/two.json other.clip.frame_count
+run 0 correct "$data/walker.bvh" -o out/two.bvh --method sdf --with beside.bvh
+claim "a row of it" grep -q "other_penetration_max_m" stdout.txt
+run 0 correct "$data/walker.bvh" -o out/one.bvh --method sdf
+claim "alone there is no such row" sh -c '! grep -q other_ stdout.txt'
+awk '/^Frames:/ {print "Frames: 20"; next} /^Frame Time/ {print; data = 1; next}
+  !data {print} data && n++ < 20 {print}' beside.bvh >brief.bvh
+run 0 correct "$data/walker.bvh" -o out/two.bvh --method sdf --with brief.bvh
+says "brief.bvh ends at 0.158 s"
+run 3 correct "$data/walker.bvh" -o out/two.bvh --with no_such.bvh
+run 2 correct "$data/walker.bvh" -o beside.bvh --with beside.bvh
+
 keys="mpjpe_m penetration_events penetration_max_m angular_momentum_change angular_momentum_drift
   slip_m slip_m_per_s validity residual_force_ratio residual_moment_ratio momentum_balance
   correction_force_ratio ms_per_frame mpjpe_normalized_m constants newton timing floor clip

@@ -13,6 +13,7 @@ extern "C" {
 
 /* Constants of the metrics: printed in every report, changed nowhere else. */
 #define KG_METRIC_EVENT_DEPTH_M 1e-3       /* penetration event: d_pen above this               */
+#define KG_METRIC_TOUCH_DEPTH_M 1e-5       /* the other athlete is touched: d_pen above this    */
 #define KG_METRIC_SLIP_HEIGHT_M 0.010      /* a node slips when Phi <= this in both frames      */
 #define KG_METRIC_MOMENTUM_DT_S 0.02       /* resampling for angular_momentum_change            */
 #define KG_METRIC_SMOOTHING_HZ 20.0        /* zero-lag Butterworth, order 4, before derivatives */
@@ -41,6 +42,11 @@ typedef struct kg_motion_metrics {
   double jerk_rms;                  /* m/s^3 over joints and frames           */
   double spectral_arc_length;       /* of the mean joint speed, dimensionless */
   double foot_skate_ratio;          /* share of node-frames at Phi <= 10 mm faster than 0.1 m/s */
+  /* of the body's points in the other athlete's (subject->other); NAN without one. The first two
+     numbers of this struct are of the scene alone */
+  double other_penetration_events;  /* share of frames                        */
+  double other_penetration_max_m;
+  double other_frames;              /* frames in which a point is inside by more than 0.01 mm */
 } kg_motion_metrics;
 
 typedef struct kg_metrics {
@@ -54,6 +60,7 @@ typedef struct kg_metrics {
                                        capture's; second differences at the clip's rate        */
   int acceleration_peak_joint;      /* segment where it occurs                         */
   double *penetration_frame_m;      /* (T) d_pen of the output                         */
+  double *other_penetration_frame_m; /* (T) of the output in the other athlete; zero without one */
   kg_motion_metrics capture, output;
   const kg_allocator *allocator;
   void *memory;

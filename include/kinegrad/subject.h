@@ -35,6 +35,9 @@ typedef struct kg_subject_def {
   double mass_kg;               /* default 70                                   */
   kg_sex sex;
   const kg_scene *extra;        /* shapes added to the ground plane; NULL: none */
+  const kg_ground *ground;      /* what covers the plane; NULL: nothing, it is hard */
+  const struct kg_subject *other; /* another athlete in the same world, NULL: none; borrowed by the
+                                     subject. kinegrad/stage.h                  */
   const kg_allocator *allocator;
 } kg_subject_def;
 
@@ -42,6 +45,7 @@ typedef struct kg_subject {
   kg_mapping mapping;
   kg_floor floor;
   kg_scene scene;         /* shape 0 is the ground plane             */
+  const struct kg_subject *other; /* borrowed, NULL: none            */
   kg_body *body;
   int joint_count;        /* of the clip                             */
   int first_frame;        /* of the clip: the first that is motion   */
