@@ -13,6 +13,7 @@
 #include "cli/progress.h"
 #include "cli/ranges.h"
 #include "cli/reading.h"
+#include "cli/scene_file.h"
 #include "cli/scores.h"
 #include "kinegrad/arena.h"
 #include "kinegrad/correct.h"
@@ -37,8 +38,7 @@ typedef struct correction {
   const correct_values *values;
   kg_arena arena;
   cli_output *bvh, *csv, *json;
-  kg_mesh *meshes[CLI_MAX_PATHS];
-  kg_scene scene;
+  cli_scene scene;
   kg_clip *clip, *other_clip;
   kg_subject *subject, *other;
   kg_correct_def def;
@@ -118,23 +118,11 @@ static int open_outputs(correction *c)
 static int read_scene(correction *c)
 {
   const correct_values *values = c->values;
-  for (int i = 0; i < values->scene.count; i++) {
-    kg_mesh_report report = {0};
-    kg_error error = {0};
-    const kg_status status =
-      kg_mesh_read(&c->meshes[i], values->scene.path[i], values->scene_unit, &report, NULL, &error);
-    if (status != KG_OK) {
-      return cli_failed(&error);
-    }
-    for (const char *line = report.text; *line;) {
-      const int length = (int)strcspn(line, "\n");
-      cli_warning(values->talk.quiet, "%s: %.*s", values->scene.path[i], length, line);
-      line += length + (line[length] == '\n');
-    }
-    const kg_sdf_shape shape = {.kind = KG_SHAPE_MESH, .mesh = c->meshes[i]};
-    (void)kg_scene_add(&c->scene, &shape); /* CLI_MAX_PATHS fit, and the ground */
+  int code = CLI_GOOD;
+  for (int i = 0; i < values->scene.count && code == CLI_GOOD; i++) {
+    code = cli_scene_add(&c->scene, values->scene.path[i], values->scene_unit, values->talk.quiet);
   }
-  return CLI_GOOD;
+  return code;
 }
 
 /* What happens when one of the clips ends first */
@@ -165,7 +153,8 @@ static int read_other(correction *c)
 static int create_subject(correction *c)
 {
   kg_subject_def around = kg_subject_default_def();
-  around.extra = &c->scene;
+  around.extra = &c->scene.scene;
+  around.ground = c->scene.has_floor ? &c->scene.floor : NULL;
   around.other = c->other;
   return cli_create_subject(&c->subject, c->clip, &c->values->reading, &around);
 }
@@ -553,9 +542,7 @@ static void release(correction *c)
   kg_subject_destroy(c->other);
   kg_clip_destroy(c->clip);
   kg_clip_destroy(c->other_clip);
-  for (int i = 0; i < CLI_MAX_PATHS; i++) {
-    kg_mesh_destroy(c->meshes[i]);
-  }
+  cli_scene_release(&c->scene);
   kg_arena_release(&c->arena);
 }
 
@@ -648,9 +635,11 @@ static const cli_option method_options[] = {
    .offset = offsetof(correct_values, gravity)},
   {.name = "scene",
    .kind = CLI_PATHS,
-   .value_name = "MESH",
-   .summary = "a solid beside the ground: OBJ, PLY, OFF or STL",
-   .details = "In the clip's world, Y up. What is wrong with a mesh (open, inside out) is said.",
+   .value_name = "FILE",
+   .summary = "a solid beside the ground: OBJ, PLY, OFF or STL; or a scene: JSON",
+   .details = "In the clip's world, Y up. What is wrong with a mesh (open, inside out) is said. A "
+              "file whose name ends in .json describes boxes, mats, capsules and other shapes, "
+              "meshes, what is soft and what moves: docs/guide/scenes.md.",
    .offset = offsetof(correct_values, scene)},
   {.name = "scene-unit",
    .kind = CLI_NUMBER,
@@ -713,7 +702,8 @@ const cli_command cli_command_correct = {
       "kinegrad correct walk.bvh -o walk_fixed.bvh",
       "kinegrad correct walk.bvh -o walk_fixed.bvh --method sdf --json report.json",
       "kinegrad correct walk.bvh -o walk_fixed.bvh --forces forces.csv --mass 62",
-      "kinegrad correct a.bvh -o a_fixed.bvh --with b.bvh", NULL},
+      "kinegrad correct walk.bvh -o walk_fixed.bvh --scene gym.json",
+      "kinegrad correct walk.bvh -o walk_fixed.bvh --with partner.bvh", NULL},
   .groups = groups,
   .group_count = KG_COUNT_OF(groups),
   .operand_count = 1,

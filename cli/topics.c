@@ -17,7 +17,8 @@ static void print_formats(FILE *out)
         "  CSV   forces (--forces): a header line, then one line per frame\n"
         "  MJCF  the body for MuJoCo (info --mjcf)\n"
         "Meshes for --scene\n"
-        "  OBJ, PLY, OFF, STL\n",
+        "  OBJ, PLY, OFF, STL; JSON that describes shapes, mats and what moves\n"
+        "  (docs/guide/scenes.md)\n",
         out);
 }
 
@@ -37,7 +38,7 @@ static void print_exit_codes(FILE *out)
         "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
         "       converge, a lost simulation, an output far from the capture, a clip without its\n"
         "       output, answers of a benchmark that differ, a derivative that is wrong or undecided"
-         "\n"
+        "\n"
         "  2    wrong usage\n"
         "  3    an input cannot be read, or cannot be used\n"
         "  4    an output cannot be written\n"

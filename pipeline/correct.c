@@ -85,7 +85,7 @@ static double lowest_point(const kg_subject *subject, kg_dynamics *dynamics, con
   for (int k = 0; k < body->point_count; k++) {
     const kg_body_point *point = &body->points[k];
     const kg_vec3 x = kg_vec3_add(p[point->segment], kg_mat3_mul_vec(R[point->segment], point->p));
-    lowest = fmin(lowest, kg_scene_distance(&subject->scene, x).distance);
+    lowest = fmin(lowest, kg_scene_surface(&subject->scene, x));
   }
   return lowest;
 }
@@ -215,7 +215,9 @@ kg_status kg_correct(kg_correct_result **result, const kg_subject *subject,
   if (!kg_arena_failed(&arena)) {
     r->allocator = def->allocator;
     if (result_create(r, &arena, subject, def->method)) {
-      status = def->method == KG_CORRECT_TRACK ? kg_correct_track(r, subject, def, &arena)
+      kg_correct_def own = *def;
+      own.track.rest_height = kg_rest_height(subject, &def->track, &def->contact, def->gravity);
+      status = def->method == KG_CORRECT_TRACK ? kg_correct_track(r, subject, &own, &arena)
                                                : kg_correct_sdf(r, subject, def, &arena);
     }
   }

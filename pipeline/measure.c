@@ -5,6 +5,8 @@
  * ends. Every division is by a count that is checked first: an absent quantity is 0, never NaN. */
 #include "pipeline/measure.h"
 
+#include "pipeline/pipeline.h"
+
 #include "kinegrad/filter.h"
 
 bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena)
@@ -101,7 +103,7 @@ void kg_measure_probe(kg_measure *m, const double *q, kg_probe *probe)
   const kg_body *body = m->subject->body;
   const kg_scene *scene = &m->subject->scene;
   kg_dynamics_pose(m->dynamics, q, m->p, m->R);
-  probe->lowest = INFINITY;
+  probe->lowest = probe->lowest_soft = INFINITY;
   probe->carrier_count = 0;
   probe->carrier_nodes = 0;
   probe->node_count =
@@ -114,16 +116,19 @@ void kg_measure_probe(kg_measure *m, const double *q, kg_probe *probe)
       segment = point->segment;
       const kg_vec3 center =
         kg_vec3_add(m->p[segment], kg_mat3_mul_vec(m->R[segment], m->bounds[segment].center));
-      near = kg_scene_distance(scene, center).distance - m->bounds[segment].radius <=
-             KG_METRIC_BALANCE_HEIGHT_M;
+      near =
+        kg_scene_surface(scene, center) - m->bounds[segment].radius <= KG_METRIC_BALANCE_HEIGHT_M;
     }
     kg_probe_point at = {.segment = segment, .point = k, .distance = INFINITY};
     if (near) {
       at.x = kg_vec3_add(m->p[segment], kg_mat3_mul_vec(m->R[segment], point->p));
-      const kg_sdf_value phi = kg_scene_distance(scene, at.x);
+      const kg_sdf_value phi = kg_soft_distance(scene, at.x);
+      const double core =
+        scene->ground_count > 0 ? kg_scene_distance(scene, at.x).distance : phi.distance;
       at.normal = phi.normal;
       at.distance = phi.distance;
-      probe->lowest = fmin(probe->lowest, phi.distance);
+      probe->lowest = fmin(probe->lowest, core);
+      probe->lowest_soft = fmin(probe->lowest_soft, phi.distance);
       if (phi.distance <= KG_METRIC_BALANCE_HEIGHT_M) {
         add_carrier(probe, &at, k < probe->node_count);
       }
@@ -222,7 +227,7 @@ static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, doub
       penetration[t] = d_pen;
     }
     if (m->other) measure_other(m, t, in_other, out);
-    m->flight[t] = now->lowest > KG_METRIC_BALANCE_HEIGHT_M;
+    m->flight[t] = now->lowest_soft > KG_METRIC_BALANCE_HEIGHT_M;
     if (t > 0) {
       add_slip(&slip, &m->probe[(t - 1) & 1], now, m->dt);
     }

@@ -18,12 +18,14 @@ enum {
 typedef struct kg_probe_point {
   int segment, point;
   kg_vec3 x, normal;
-  double distance; /* Phi; INFINITY when the point is farther than the probe looks */
+  double distance; /* from the outside of soft layers; INFINITY when the point is farther than the
+                      probe looks */
 } kg_probe_point;
 
 /* One pose against the scene. */
 typedef struct kg_probe {
   double lowest;                        /* smallest Phi seen, INFINITY when none is near  */
+  double lowest_soft;                   /* the same from the outside of soft layers       */
   kg_probe_point nodes[KG_PROBE_NODES]; /* of the soles                                   */
   int node_count;
   kg_probe_point carriers[KG_PROBE_CARRIERS]; /* points with Phi <= KG_METRIC_BALANCE_HEIGHT_M */

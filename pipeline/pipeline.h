@@ -15,6 +15,14 @@
 KG_MUST_USE kg_status kg_floor_estimate(kg_floor *floor, const kg_clip *clip,
                                         const kg_mapping *mapping);
 
+/* ---- subject.c ------------------------------------------------------------------------------- */
+
+/* As kg_scene_distance, but from the outside of the soft layers: where soles stand. */
+kg_sdf_value kg_soft_distance(const kg_scene *scene, kg_vec3 x);
+/* params->rest_height, or, on a soft floor, where ten sole nodes carry the weight: below the outside. */
+double kg_rest_height(const kg_subject *subject, const kg_track_params *params,
+                      const kg_contact_params *contact, double gravity);
+
 /* ---- states.c -------------------------------------------------------------------------------- */
 
 /* q[nq] at frame number x (not whole: slerp and linear) of a motion (count, nq). */

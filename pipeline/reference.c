@@ -135,7 +135,7 @@ static void read_points(builder *b)
         const int at = t * group->count + k;
         group->x[at] =
           kg_vec3_add(b->p[point->segment], kg_mat3_mul_vec(b->R[point->segment], point->p));
-        const kg_sdf_value value = kg_scene_distance(&b->subject->scene, group->x[at]);
+        const kg_sdf_value value = kg_soft_distance(&b->subject->scene, group->x[at]);
         group->phi[at] = value.distance;
         group->normal[at] = value.normal;
       }
@@ -313,7 +313,7 @@ static double lowest_of_body(const builder *b)
   double low = INFINITY;
   for (int k = b->body->sole_node_count; k < b->body->point_count; k++) {
     if (!b->in_group[b->body->points[k].segment]) {
-      low = fmin(low, kg_scene_distance(&b->subject->scene, body_point(b, k)).distance);
+      low = fmin(low, kg_soft_distance(&b->subject->scene, body_point(b, k)).distance);
     }
   }
   return low;
@@ -601,7 +601,7 @@ static void assemble_rise(builder *b, int t)
       continue;
     }
     const kg_vec3 x = body_point(b, k);
-    const kg_sdf_value value = kg_scene_distance(&b->subject->scene, x);
+    const kg_sdf_value value = kg_soft_distance(&b->subject->scene, x);
     if (value.distance < low + BODY_FLAT_M) {
       const kg_vec3 e = kg_vec3_scale(target - low, value.normal);
       add_target(b, segment, x, e, 1.0 / (BODY_ERROR_M * BODY_ERROR_M));
@@ -675,7 +675,7 @@ static int list_carriers(builder *b, int t, int n)
   const double low = lowest_of_body(b);
   for (int k = b->body->sole_node_count; k < b->body->point_count && n < KG_MAX_PLANTED; k++) {
     const kg_vec3 x = body_point(b, k);
-    const kg_sdf_value value = kg_scene_distance(&b->subject->scene, x);
+    const kg_sdf_value value = kg_soft_distance(&b->subject->scene, x);
     if (!b->in_group[b->body->points[k].segment] && value.distance < low + BODY_FLAT_M) {
       b->reference->planted[t * KG_MAX_PLANTED + n++] =
         (kg_planted_point){.point = k, .x = x, .normal = value.normal, .rolls = true};

@@ -48,6 +48,34 @@ static kg_status build_scene(kg_subject *subject, const kg_subject_def *def, kg_
   return KG_OK;
 }
 
+kg_sdf_value kg_soft_distance(const kg_scene *scene, kg_vec3 x)
+{
+  if (scene->ground_count == 0) return kg_scene_distance(scene, x);
+  kg_sdf_value best = {INFINITY, {0.0, 1.0, 0.0}, {0.0}};
+  for (int i = 0; i < scene->shape_count; i++) {
+    const kg_sdf_shape *shape = &scene->shapes[i];
+    const double soft = shape->ground > 0 ? scene->grounds[shape->ground - 1].thickness : 0.0;
+    kg_sdf_value value;
+    if (shape->part || !kg_scene_shape_distance(scene, i, x, best.distance + soft, &value))
+      continue;
+    value.distance -= soft;
+    if (value.distance < best.distance) best = value;
+  }
+  return best;
+}
+
+double kg_rest_height(const kg_subject *subject, const kg_track_params *params,
+                      const kg_contact_params *contact, double gravity)
+{
+  const int number = subject->scene.shapes[0].ground;
+  if (number == 0) return params->rest_height;
+  const kg_ground *ground = &subject->scene.grounds[number - 1];
+  const double load = subject->body->mass * gravity / (2 * KG_SOLE_NODE_COUNT);
+  const double sunk = 0.5 * contact->layer + load / fmax(ground->stiffness, 1.0);
+  /* through a layer this soft the core carries, as on hard ground */
+  return fmax(contact->layer - sunk, params->rest_height - ground->thickness);
+}
+
 static kg_status build_body(kg_subject *subject, const kg_clip *clip, const kg_subject_def *def,
                             kg_error *error)
 {

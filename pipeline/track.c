@@ -188,7 +188,7 @@ static void find_supports(tracker *s)
   s->support_count = s->kept_out_count = 0;
   for (int k = 0; k < s->body->point_count; k++) {
     support new = {.point = k, .x = point_at(s, k)};
-    const kg_sdf_value value = kg_scene_distance(kg_stage_scene(s->stage), new.x);
+    const kg_sdf_value value = kg_soft_distance(kg_stage_scene(s->stage), new.x);
     new.phi = value.distance;
     new.normal = value.normal;
     const int foot = foot_of(s->body, s->body->points[k].segment);
@@ -258,7 +258,7 @@ static void add_planted(tracker *s, int k)
       continue;
     }
     const kg_vec3 x = point_at(s, planted->point);
-    const double phi = kg_scene_distance(&s->subject->scene, x).distance;
+    const double phi = kg_soft_distance(&s->subject->scene, x).distance;
     const kg_vec3 target = planted_velocity(s, planted, x, phi);
     double J[3][KG_PATH_COLUMNS], e[3] = {target.x, target.y, target.z};
     int columns[KG_PATH_COLUMNS];
@@ -550,7 +550,7 @@ static void record_contacts(tracker *s, int t, const kg_step_report *report)
     if (normal[f] > 0.0) {
       const kg_vec3 cop = kg_vec3_scale(1.0 / normal[f], weighted[f]);
       /* on the ground, not at the height of the nodes */
-      const kg_sdf_value ground = kg_scene_distance(kg_stage_scene(s->stage), cop);
+      const kg_sdf_value ground = kg_soft_distance(kg_stage_scene(s->stage), cop);
       feet[f].cop = kg_vec3_add_scaled(cop, -ground.distance, ground.normal);
       for (int c = 0; c < report->contact_count; c++) {
         const kg_step_contact *contact = &report->contacts[c];

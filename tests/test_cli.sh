@@ -167,6 +167,8 @@ claim "units and ranges stand in --help" grep -q "unit: kg; range: 1 to 1000" st
 
 mkdir -p examples/captures examples/corrected
 cp "$walk" examples/walk.bvh
+awk '/^Frame Time/ {print; data = 1; next} data && NF > 3 {$1 += 300} {print}' "$walk" >examples/partner.bvh
+printf '{"shapes": [{"type": "box", "center_m": [0, 0.5, 9], "size_m": [1, 1, 1]}]}' >examples/gym.json
 cp "$walk" examples/captures/walk.bvh
 cp "$walk" examples/corrected/walk.bvh
 for command in $commands; do
@@ -332,6 +334,75 @@ claim "and nothing else is there" test "$(find out -mindepth 1 | wc -l)" -eq 1
 rm out/x.bvh
 
 # ---- correct -------------------------------------------------------------------------------------
+
+# ---- scenes that are described -------------------------------------------------------------------
+
+printf 'v -9 -1 -9\nv 9 -1 -9\nv 9 -1 9\nv -9 -1 9\nv 0 -2 0\nf 1 4 3 2\nf 1 2 5\nf 2 3 5\nf 3 4 5\nf 4 1 5\n' >pit.obj
+cat >gym.json <<'END'
+{
+  "floor": {"soft": {"thickness_m": 0.03, "stiffness_N_per_m": 20000}},
+  "shapes": [
+    {"type": "box", "center_m": [2, 0.5, 0], "size_m": [1, 1, 1], "rotation_deg": [0, 30, 0]},
+    {"type": "mat", "center_m": [0, 0.05, 2], "size_m": [2, 0.1, 1], "soft": {"thickness_m": 0.1}},
+    {"type": "sphere", "center_m": [0, 0.9, 3], "radius_m": 0.12, "velocity_m_per_s": [0, 0, -6]},
+    {"type": "capsule", "from_m": [-1, 1, 1], "to_m": [1, 1, 1], "radius_m": 0.03},
+    {"type": "cylinder", "from_m": [-1, 0, -2], "to_m": [-1, 1, -2], "radius_m": 0.3,
+     "soft": {"thickness_m": 0.02, "stiffness_N_per_m": 5e3, "damping_s_per_m": 1, "friction": 0.4}},
+    {"type": "ellipsoid", "center_m": [3, 0.3, 3], "semi_axes_m": [0.5, 0.3, 0.4]},
+    {"type": "plane", "point_m": [0, 0, -4], "normal": [0, 0, 1]},
+    {"type": "mesh", "file": "pit.obj", "unit_m": 0.5, "at_m": [0, -3, 0]}
+  ]
+}
+END
+run 0 correct "$data/walker.bvh" -o out/hard.bvh --method sdf --json out/hard.json --quiet
+run 0 correct "$data/walker.bvh" -o out/gym.bvh --method sdf --scene gym.json --json out/gym.json --quiet
+claim "the capture is 30 mm less deep in the core" sh -c \
+  'awk -v a="$("$0" out/hard.json capture.penetration_max_m)" -v b="$("$0" out/gym.json capture.penetration_max_m)" \
+   "BEGIN {d = a - b - 0.03; exit !(d < 1e-9 && d > -1e-9)}"' "$json_get"
+# a wall through the walker: the same box as a file and as a mesh say the same
+printf '{"shapes": [{"type": "box", "center_m": [0.9, 1, 0], "size_m": [1.4, 2, 4]}]}' >wall.json
+printf 'v 0.2 0 -2\nv 1.6 0 -2\nv 1.6 2 -2\nv 0.2 2 -2\nv 0.2 0 2\nv 1.6 0 2\nv 1.6 2 2\nv 0.2 2 2\n%s' \
+  'f 4 3 2 1
+f 5 6 7 8
+f 1 2 6 5
+f 3 4 8 7
+f 2 3 7 6
+f 4 1 5 8
+' >wall.obj
+run 0 correct "$data/walker.bvh" -o out/w1.bvh --method sdf --scene wall.json --json out/w1.json --quiet
+run 0 correct "$data/walker.bvh" -o out/w2.bvh --method sdf --scene wall.obj --json out/w2.json --quiet
+for key in capture.penetration_max_m capture.penetration_events; do
+  claim "the box as a shape and as a mesh: $key" sh -c \
+    'awk -v a="$("$0" out/w1.json $1)" -v b="$("$0" out/w2.json $1)" -v c="$("$0" out/hard.json $1)" \
+     "BEGIN {exit !(a - b < 1e-6 && b - a < 1e-6 && a > c)}"' "$json_get" "$key"
+done
+# LINE:COLUMN, the message, the file
+while IFS='|' read -r place message text; do
+  printf '%b' "$text" >wrong.json
+  run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
+  says "wrong.json:$place: $message"
+done <<'END'
+2:50|"size_m": expected .x, y, z., each from|{"shapes": [\n  {"type": "box", "center_m": [0,0,0], "size_m": [1,1]}]}
+2:12|"type": .*did you mean "box"|{"shapes": [\n  {"type": "bxo"}]}
+2:22|unknown member "radius"; did you mean "radius_m"|{"shapes": [\n  {"type": "sphere", "radius": 1}]}
+2:3|"center_m" is missing|{"shapes": [\n  {"type": "sphere", "radius_m": 1}]}
+2:30|not JSON|{"shapes": [\n  {"type": "sphere" "radius_m": 1}]}
+1:37|not JSON: duplicate|{"shapes": [{"type": "sphere", "type": "box"}]}
+2:85|"thickness_m": .*rigid core|{"shapes": [\n  {"type": "box", "center_m": [0,0,0], "size_m": [1,0.1,1], "soft": {"thickness_m": 0.09}}]}
+1:95|"thickness_m": expected no more than the height|{"shapes": [{"type": "mat", "center_m": [0,0,0], "size_m": [1,0.1,1], "soft": {"thickness_m": 0.2}}]}
+1:13|"soft" is missing|{"shapes": [{"type": "mat", "center_m": [0,0,0], "size_m": [1,0.1,1]}]}
+1:44|"center_m": expected|{"shapes": [{"type": "sphere", "center_m": [0,0,1e99], "radius_m": 1}]}
+1:2|unknown member "shape"|{"shape": []}
+1:1|expected an object|[1]
+1:36|"thickness_m": expected a number|{"floor": {"soft": {"thickness_m": "x"}}}
+1:11|"floor": expected an object|{"floor": 3}
+1:13|expected an object with a "type"|{"shapes": [3]}
+1:61|"to_m": expected another point|{"shapes": [{"type": "cylinder", "from_m": [0,0,0], "to_m": [0,0,0], "radius_m": 1}]}
+END
+printf '{"shapes": [{"type": "mesh", "file": "nowhere.obj"}]}' >wrong.json
+run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
+says "nowhere.obj"
+run 2 correct "$data/walker.bvh" -o out/x.bvh --scene gym.json --json gym.json
 
 # ---- another athlete -----------------------------------------------------------------------------
 

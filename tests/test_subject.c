@@ -156,6 +156,34 @@ static void shapes_join_the_ground(void **state)
   assert_close(subject->body->mass, 70.0, 1e-9);
   kg_subject_destroy(subject);
 
+  /* places, soft layers and combinations come along; their numbers still fit */
+  const kg_ground turf = {.thickness = 0.02, .stiffness = 1e4, .friction = -1.0};
+  const kg_place place = {.at = {0.0, 3.0, 0.0}};
+  kg_scene parts = {0};
+  kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE,
+                       .radius = 0.5,
+                       .place = kg_scene_add_place(&parts, &place),
+                       .ground = kg_scene_add_ground(&parts, &turf)};
+  assert_true(kg_scene_add(&parts, &ball));
+  ball.radius = 0.3;
+  assert_true(kg_scene_add(&parts, &ball));
+  const kg_sdf_shape shell = {.kind = KG_SHAPE_DIFFERENCE, .children = {0, 1}, .ground = 1};
+  assert_true(kg_scene_add(&parts, &shell));
+  def.extra = &parts;
+  def.ground = &turf;
+  subject = subject_of(clip, &def);
+  const kg_vec3 points[] = {{0, 3, 0}, {0, 3.4, 0}, {0, 4, 0}, {5, 1, 0}};
+  for (int i = 0; i < 4; i++) {
+    const kg_scene_point at = kg_scene_nearest(&subject->scene, points[i]);
+    const kg_sdf_value alone = kg_scene_distance(&parts, points[i]);
+    const double want = i == 3 ? 1.0 + 0.1 + 0.02 : alone.distance; /* the plane's core is lower */
+    assert_close(at.value.distance, want, 1e-12);
+    assert_true(at.ground && at.ground->thickness == 0.02);
+  }
+  kg_subject_destroy(subject);
+  def.ground = NULL;
+  def.extra = &extra;
+
   extra.shape_count = KG_SCENE_MAX_SHAPES;
   for (int i = 0; i < KG_SCENE_MAX_SHAPES; i++) {
     extra.shapes[i] = ground.shapes[0];

@@ -300,6 +300,57 @@ static void sunken_feet_are_raised(void **state)
   kg_clip_destroy(clip);
 }
 
+/* Mats of three stiffnesses: the soles stand in the layer where the law says ten nodes carry the
+ * weight, on the softest through to the core, which is not entered. */
+static void soles_stand_in_a_soft_floor(void **state)
+{
+  (void)state;
+  enum { T = 150 };
+  const double stiffness[] = {5e4, 1e4, 1e2};
+  kg_clip *clip = standing_clip(T, DT);
+  for (size_t k = 0; k < KG_COUNT_OF(stiffness); k++) {
+    const kg_ground mat = {
+      .thickness = 0.03, .stiffness = stiffness[k], .damping = 0.5, .friction = -1.0};
+    kg_subject_def def = kg_subject_default_def();
+    def.floor_given = true;
+    def.ground = &mat;
+    kg_subject *subject = subject_of(clip, &def);
+    assert_close(kg_scene_distance(&subject->scene, kg_vec3_make(1, 1, 1)).distance, 1.03, 1e-12);
+    assert_close(kg_scene_surface(&subject->scene, kg_vec3_make(1, 1, 1)), 1.0, 1e-12);
+    kg_correct_result *r = tracked(subject, NULL);
+    kg_dynamics *dynamics;
+    assert_int_equal(kg_dynamics_create(&dynamics, subject->body, NULL), KG_OK);
+    const double *q_end = r->q + (size_t)(T - 1) * (size_t)r->nq;
+    const double lowest = lowest_point(subject, dynamics, q_end);
+    const kg_contact_params law = kg_contact_default_params();
+    double held = 0.0; /* by the law, at rest where the nodes are */
+    for (int i = 0; i < 2 * KG_SOLE_NODE_COUNT; i++) {
+      const kg_vec3 x = kg_dynamics_point(dynamics, NULL, q_end, subject->body->points[i]);
+      kg_contact_force f;
+      (void)kg_contact_evaluate(&law, &subject->scene, x, kg_vec3_make(0, 0, 0), false, &f);
+      held += f.normal;
+    }
+    const double weight = subject->body->mass * 9.8;
+    const double carried = r->feet[2 * T - 2].force.y + r->feet[2 * T - 1].force.y;
+    print_message("%g N/m: lowest point %.2f mm above the core; carries %.1f of %.1f N, by the law "
+                  "%.1f N; residual %.1f %%\n",
+                  stiffness[k], 1e3 * lowest, carried, weight, held, 1e2 * r->residual_force_rms);
+    assert_true(lowest > 0.0);
+    if (k < 2) assert_true(lowest > 2.0 * law.layer && lowest < mat.thickness + 0.5 * law.layer);
+    if (k == 2) assert_true(lowest < law.layer); /* on the core */
+    assert_at_most(fabs(held / weight - 1.0), 0.03);
+    assert_at_most(fabs(carried / weight - 1.0), 0.05);
+    assert_at_most(r->residual_force_rms, 0.05);
+    for (int t = 0; t < T; t++) {
+      assert_true(r->penetration[t] <= 1e-5);
+    }
+    kg_dynamics_destroy(dynamics);
+    kg_correct_result_destroy(r);
+    kg_subject_destroy(subject);
+  }
+  kg_clip_destroy(clip);
+}
+
 /* A ball that the chest is in from the start: it is left in every frame, the first included. */
 static void an_obstacle_is_left_in_the_first_frame(void **state)
 {
@@ -454,6 +505,7 @@ int main(void)
     cmocka_unit_test(gravity_sets_the_ground_reaction),
     cmocka_unit_test(progress_may_stop_it),
     cmocka_unit_test(sunken_feet_are_raised),
+    cmocka_unit_test(soles_stand_in_a_soft_floor),
     cmocka_unit_test(an_obstacle_is_left_in_the_first_frame),
     cmocka_unit_test(the_shortest_clips_are_tracked),
     cmocka_unit_test(what_no_contact_explains_is_marked),
