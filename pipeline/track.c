@@ -724,7 +724,7 @@ static void run(tracker *s)
   const size_t nq = (size_t)s->body->nq, nv = (size_t)s->body->nv;
   const double frame = s->subject->dt / s->h;
   memcpy(s->q, s->reference->q, nq * sizeof *s->q);
-  (void)kg_correction_apply(s->correction, s->q, NULL, NULL);
+  const kg_correction_report start = kg_correction_apply(s->correction, s->q, NULL, NULL);
   memcpy(out->q, s->q, nq * sizeof *s->q);
   if (s->reference->count > 1) {
     kg_body_difference(s->body, s->v, s->reference->q + nq, s->reference->q);
@@ -768,6 +768,7 @@ static void run(tracker *s)
     memcpy(out->v, out->v + nv, nv * sizeof(double));
     repeat_record(out, 1, 0);
   }
+  out->penetration[0] = start.d_pen_after; /* its pose is its own */
 }
 
 /* ---- memory ------------------------------------------------------------------------------------ */
