@@ -11,6 +11,7 @@
  * sdf/kernels/search.c finds the closest triangle. */
 #include "sdf/feature.h"
 #include "sdf/mesh_internal.h"
+#include "sdf/mesh_parts.h"
 
 /* From here on (m) a mesh is a point. */
 #define FAR_AWAY 1e18
@@ -153,6 +154,14 @@ static kg_vec3 edge_normal(const kg_mesh *mesh, int face, int side)
                     : kg_vec3_add(mesh->normal[face], mesh->normal[across]);
 }
 
+/* Of an edge or a corner. */
+static kg_vec3 pseudo_normal(const kg_mesh *mesh, const closest *c)
+{
+  const int face = mesh->tree.face[c->slot];
+  return c->on >= EDGE_AB ? edge_normal(mesh, face, (int)(c->on - EDGE_AB))
+                          : mesh->vertex_normals[mesh->corner[face][c->on - CORNER_A]];
+}
+
 /* Value at x, whose closest point is known. */
 static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *c)
 {
@@ -163,9 +172,7 @@ static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *c)
     return height < 0.0 && is_surely_outside(mesh, x) ? negated(out) : out;
   }
   const bool edge = c->on >= EDGE_AB;
-  const int face = mesh->tree.face[c->slot];
-  const kg_vec3 N = edge ? edge_normal(mesh, face, (int)(c->on - EDGE_AB))
-                         : mesh->vertex_normals[mesh->corner[face][c->on - CORNER_A]];
+  const kg_vec3 N = pseudo_normal(mesh, c);
   const kg_vec3 along = edge ? edge_direction(c) : kg_vec3_make(0.0, 0.0, 0.0);
   const double size = kg_vec3_norm(N); /* 0: faces that are folded onto each other */
   const kg_vec3 fallback = size > FOLDED ? kg_vec3_scale(1.0 / size, N) : n;
@@ -269,4 +276,41 @@ void kg_mesh_bounds(const kg_mesh *mesh, kg_vec3 *lo, kg_vec3 *hi)
 {
   *lo = mesh->lo;
   *hi = mesh->hi;
+}
+
+/* ---- single triangles ------------------------------------------------------------------------ */
+
+/* Cosine of the angle from a pseudo-normal beyond which a near miss could change the side: two
+ * triangles whose distances differ by 1e-6 of them differ by 1e-3 in direction. */
+#define SURE_SIDE 0.02
+
+int mesh_slot_count(const kg_mesh *mesh)
+{
+  return BVH_LEAF * mesh->tree.packet_count;
+}
+
+bool mesh_slot(const kg_mesh *mesh, int slot, kg_vec3 out[3])
+{
+  const triangle t = triangle_in(&mesh->tree, slot);
+  out[0] = t.a;
+  out[1] = kg_vec3_add(t.a, t.u);
+  out[2] = kg_vec3_add(t.a, t.v);
+  return slot % BVH_LEAF == 0 || mesh->tree.face[slot] != mesh->tree.face[slot - 1];
+}
+
+bool mesh_is_closed(const kg_mesh *mesh)
+{
+  return mesh->is_closed;
+}
+
+bool mesh_value_on(const kg_mesh *mesh, kg_vec3 x, int slot, kg_sdf_value *out)
+{
+  const closest c = closest_in(mesh, slot, x);
+  *out = value_of(mesh, x, &c);
+  if (c.on == FACE) {
+    return true;
+  }
+  const kg_vec3 N = pseudo_normal(mesh, &c);
+  const double along = kg_vec3_dot(N, c.d);
+  return along * along > SURE_SIDE * SURE_SIDE * kg_vec3_dot(N, N) * kg_vec3_dot(c.d, c.d);
 }

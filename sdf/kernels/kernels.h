@@ -1,9 +1,10 @@
-/* The search for the closest triangle, compiled for each instruction set. Which one a mesh uses is
+/* The search for the closest triangle and the loops of grids, compiled for each instruction set. Which one a mesh uses is
  * decided when it is created; all give the same bits. */
 #ifndef SDF_KERNELS_KERNELS_H
 #define SDF_KERNELS_KERNELS_H
 
 #include "sdf/bvh.h"
+#include "sdf/kernels/grid.h"
 
 #define SDF_PI 3.14159265358979323846
 
@@ -18,6 +19,7 @@ typedef struct kg_sdf_kernels {
   void (*search)(const bvh *tree, kg_vec3 x, int packet, bool is_any, bvh_best *best);
   /* angle[i], in (0, pi), of the direction (cosine[i], sine[i] > 0) of any length; to 1e-15 */
   void (*angles)(int count, const double *sine, const double *cosine, double *angle);
+  const kg_grid_kernels *grid;
 } kg_sdf_kernels;
 
 extern const kg_sdf_kernels kg_sdf_kernels_base, kg_sdf_kernels_v3, kg_sdf_kernels_v4;

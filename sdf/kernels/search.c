@@ -16,6 +16,8 @@
 
 #define NAME_(isa) kg_sdf_kernels_##isa
 #define NAME(isa) NAME_(isa)
+#define GRID_NAME_(isa) kg_grid_kernels_##isa
+#define GRID_NAME(isa) GRID_NAME_(isa)
 
 typedef struct triple {
   doubles x, y, z;
@@ -193,4 +195,4 @@ static void angles(int count, const double *restrict sine, const double *restric
   }
 }
 
-const kg_sdf_kernels NAME(KG_ISA) = {search, angles};
+const kg_sdf_kernels NAME(KG_ISA) = {search, angles, &GRID_NAME(KG_ISA)};

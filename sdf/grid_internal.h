@@ -1,0 +1,33 @@
+/* A grid as sdf/grid_build.c and sdf/grid_file.c make it and sdf/grid.c reads it. Internal to sdf/. */
+#ifndef KG_SDF_GRID_INTERNAL_H
+#define KG_SDF_GRID_INTERNAL_H
+
+#include "kinegrad/arena.h"
+#include "kinegrad/grid.h"
+#include "sdf/kernels/kernels.h"
+
+/* share of the box's diagonal that rounding can add to a node's value */
+#define GRID_SLACK 1e-6
+
+struct kg_grid {
+  kg_arena arena;
+  const kg_grid_kernels *kernels;
+  kg_grid_source source; /* all NULL: none                                                   */
+  grid_view view;
+  kg_vec3 hi;
+  double slack;
+  bool is_continuous; /* the sign too: no border of an open mesh behind which it jumps        */
+  bool has_closest;   /* x - Phi n is a point of the surface at every node                    */
+};
+
+/* A grid without values. NULL and a status when memory is refused. */
+kg_status grid_allocate(kg_grid **grid, kg_vec3 lo, double spacing, const int n[3],
+                        const kg_allocator *allocator, kg_error *error);
+float *grid_nodes(kg_grid *grid);
+kg_vec3 grid_place(const grid_view *view, int i, int j, int k);
+/* Neighbours can be told apart: a spacing of a billionth of the coordinates or more. */
+bool grid_is_fine(kg_vec3 lo, double spacing, const int n[3]);
+/* the source's value; there is one */
+kg_sdf_value grid_ask(const kg_grid_source *source, kg_vec3 x);
+
+#endif
