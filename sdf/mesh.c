@@ -242,13 +242,11 @@ kg_sdf_value kg_mesh_distance(const kg_mesh *mesh, kg_vec3 x)
   return kg_mesh_distance_from(mesh, x, NULL);
 }
 
-/* Without hints the point before is a good guess. */
 void kg_mesh_distance_many(const kg_mesh *mesh, int count, const kg_vec3 *x, kg_mesh_hint *hints,
                            kg_sdf_value *values)
 {
-  kg_mesh_hint last = {-1};
   for (int i = 0; i < count; i++) {
-    values[i] = kg_mesh_distance_from(mesh, x[i], hints ? &hints[i] : &last);
+    values[i] = kg_mesh_distance_from(mesh, x[i], hints ? &hints[i] : NULL);
   }
 }
 

@@ -4,6 +4,7 @@
 
 #include "bench/bench.h"
 #include "bench/sdf/brute.h"
+#include "bench/sdf/exact.h"
 #include "kinegrad/mesh.h"
 
 #include <stdio.h>
@@ -108,11 +109,28 @@ static void reference_of_a_box(void **state)
   kg_bench_surface_free(&s);
 }
 
+/* The same points in larger numbers: bench/mesh_exact.c. */
+static void distances_are_those_to_all_triangles(void **state)
+{
+  (void)state;
+  for (int kind = 0; kind < KG_BENCH_MILLION; kind++) {
+    kg_bench_tally t;
+    kg_bench_exact(&t, (kg_bench_surface_kind)kind, 600, 77);
+    print_message("%s: %.1e, %d inside, %d on it\n", t.name, t.worst, t.inside, t.on_surface);
+    assert_int_equal(t.points, 600);
+    assert_at_most(t.worst, 1e-13);
+    assert_int_equal(t.signs_wrong, 0);
+    assert_in_range(t.inside, 60, 300);
+    assert_in_range(t.on_surface, 90, 110);
+  }
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(reference_of_a_box),
     cmocka_unit_test(surfaces_are_what_they_say),
+    cmocka_unit_test(distances_are_those_to_all_triangles),
     cmocka_unit_test(answers_agree),
   };
   return cmocka_run_group_tests_name("bench sdf", tests, NULL, NULL);

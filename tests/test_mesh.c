@@ -362,6 +362,30 @@ static void limits_cut_off_exactly(void **state)
   kg_mesh_destroy(mesh);
 }
 
+/* The middle plane of a slab and the centre of a cube: all sides are as near, the triangle of the
+ * smallest number counts, in whatever order the hierarchy meets them. */
+static void medial_axis_takes_the_smallest_triangle(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  enum { BOXES = 40 };
+  for (int i = 0; i < BOXES; i++) { /* so that the sides lie in several packets */
+    add_box(s, kg_vec3_make(4.0 * i, -1, -1), kg_vec3_make(4.0 * i + 2.0, 1, 1));
+  }
+  kg_mesh *mesh = build_mesh(s, NULL);
+  for (int i = 0; i < BOXES; i++) {
+    const kg_mesh_hit hit = kg_mesh_closest(mesh, kg_vec3_make(4.0 * i + 1.0, 0, 0));
+    assert_true(hit.distance == -1.0);
+    assert_int_equal(hit.triangle, 12 * i); /* all triangles touch their side's centre */
+    for (int k = 0; k + 1 < BOXES && i == 0; k++) {
+      const kg_mesh_hit between = kg_mesh_closest(mesh, kg_vec3_make(4.0 * k + 3.0, 0.5, -0.25));
+      assert_true(between.distance == 1.0);
+      assert_in_range(between.triangle, 12 * k + 2, 12 * k + 3); /* the side x = hi of box k */
+    }
+  }
+  kg_mesh_destroy(mesh);
+}
+
 static void far_points_have_a_value(void **state)
 {
   (void)state;
@@ -642,6 +666,7 @@ int main(void)
     cmocka_unit_test(all_queries_give_the_same_bits),
     cmocka_unit_test(instruction_sets_give_the_same_bits),
     cmocka_unit_test(limits_cut_off_exactly),
+    cmocka_unit_test(medial_axis_takes_the_smallest_triangle),
     cmocka_unit_test(far_points_have_a_value),
     cmocka_unit_test(volume_is_right),
     cmocka_unit_test(broken_faces_are_counted_and_named),
