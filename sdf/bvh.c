@@ -24,6 +24,9 @@ enum {
 /* The mean of unit normals is at least that long where axes of its own can pay. */
 #define FLAT 0.5
 
+/* ... and no nearer to an axis of the world than that (cosine). */
+#define STRAIGHT 0.95
+
 /* Lane 3 of lo holds the face's number, that of hi nothing. */
 typedef struct item {
   floats4 lo, hi;
@@ -316,7 +319,8 @@ static bool mean_axes(const builder *b, const part *of, float turn[3][4])
     sum = kg_vec3_add(sum, b->input->normal[face_of(&b->items[i])]);
   }
   const kg_vec3 n = kg_vec3_normalized(sum);
-  if (!(kg_vec3_norm(sum) > FLAT * of->count)) return false;
+  const double straightness = fmax(fabs(n.x), fmax(fabs(n.y), fabs(n.z)));
+  if (!(kg_vec3_norm(sum) > FLAT * of->count && straightness < STRAIGHT)) return false;
   const kg_vec3 other = fabs(n.x) < 0.6 ? kg_vec3_make(1, 0, 0) : kg_vec3_make(0, 1, 0);
   const kg_vec3 s = kg_vec3_normalized(kg_vec3_cross(n, other)), t = kg_vec3_cross(n, s);
   const float columns[3][4] = {{(float)s.x, (float)t.x, (float)n.x, 0.0f},
