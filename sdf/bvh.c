@@ -491,8 +491,11 @@ static bool keep_result(bvh *out, const builder *b, kg_arena *arena)
   const size_t nodes = (size_t)b->node_count, packets = (size_t)b->leaf_count;
   *out = (bvh){kg_arena_take(arena, nodes * sizeof *out->nodes, 64),
                kg_arena_take(arena, packets * sizeof *out->packets, 64),
-               kg_arena_take(arena, packets * BVH_LEAF * sizeof *out->face, 64), b->node_count,
-               b->leaf_count};
+               kg_arena_take(arena, packets * BVH_LEAF * sizeof *out->face, 64),
+               b->node_count,
+               b->leaf_count,
+               b->input->lo,
+               b->input->hi};
   if (kg_arena_failed(arena)) return false;
   memcpy(out->nodes, b->nodes, nodes * sizeof *out->nodes);
   fill_packets(out, b);

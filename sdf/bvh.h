@@ -46,6 +46,7 @@ typedef struct bvh {
   bvh_packet *packets;
   int *face; /* (8 packet_count) the triangle in each slot */
   int node_count, packet_count;
+  kg_vec3 lo, hi; /* bounds */
 } bvh;
 
 /* What the tree is made of. */

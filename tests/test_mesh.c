@@ -386,12 +386,8 @@ static void medial_axis_takes_the_smallest_triangle(void **state)
   kg_mesh_destroy(mesh);
 }
 
-static void far_points_have_a_value(void **state)
+static void check_far_points(const soup *s, const kg_mesh *mesh)
 {
-  (void)state;
-  soup *s = fresh_soup();
-  add_spiky(s, 2, 11);
-  kg_mesh *mesh = build_mesh(s, NULL);
   kg_vec3 lo, hi;
   kg_mesh_bounds(mesh, &lo, &hi);
   for (int i = 0; i < s->vertex_count; i++) {
@@ -400,7 +396,7 @@ static void far_points_have_a_value(void **state)
     assert_true(v.x <= hi.x && v.y <= hi.y && v.z <= hi.z);
   }
   kg_random random = kg_random_make(28);
-  const double sizes[] = {1e2, 1e6, 1e12, 1e17, 1e18, 1e30, 1e200};
+  const double sizes[] = {1e2, 1e3, 1e4, 1e6, 1e8, 1e12, 1e17, 1e18, 1e30, 1e200};
   for (size_t k = 0; k < KG_COUNT_OF(sizes); k++) {
     for (int i = 0; i < 20; i++) {
       const kg_vec3 x = random_vec3(&random, sizes[k]);
@@ -408,10 +404,27 @@ static void far_points_have_a_value(void **state)
       const double largest = fmax(fabs(x.x), fmax(fabs(x.y), fabs(x.z)));
       const double norm = largest * kg_vec3_norm(kg_vec3_scale(1.0 / largest, x));
       assert_close(v.distance / norm, sizes[k] < 1e10 ? brute_distance(s, x) / norm : 1.0, 1e-11);
+      kg_mesh_hint hint = {37 * i};
+      const kg_sdf_value warm = kg_mesh_distance_from(mesh, x, &hint);
+      assert_same_value(&v, &warm);
       assert_close(kg_vec3_norm(v.normal), 1.0, 1e-12);
       assert_at_most(1.0 - kg_vec3_dot(v.normal, kg_vec3_scale(1.0 / norm, x)), 1e-3);
     }
   }
+}
+
+static void far_points_have_a_value(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  add_icosphere(s, 3); /* smooth: with axes of their own near the leaves */
+  kg_mesh *mesh = build_mesh(s, NULL);
+  check_far_points(s, mesh);
+  kg_mesh_destroy(mesh);
+  s = fresh_soup();
+  add_spiky(s, 2, 11);
+  mesh = build_mesh(s, NULL);
+  check_far_points(s, mesh);
   const kg_sdf_value beyond = kg_mesh_distance(mesh, kg_vec3_make(3.0, -INFINITY, 1.0));
   assert_true(isinf(beyond.distance) && beyond.distance > 0.0 && beyond.normal.y == -1.0);
   kg_sdf_value value = {0.0, {0.0, 0.0, 0.0}, {0.0}};

@@ -117,7 +117,7 @@ static inline unsigned child_distances(const bvh_node *node, kg_vec3 x, float li
 }
 
 typedef struct waiting {
-  float distance2;
+  float distance2; /* in the search from far away: beyond the base */
   int child;
 } waiting;
 
@@ -127,8 +127,100 @@ static inline float at_least(double value)
   return value < 3e38 ? (float)value * 1.0000003f + 1e-44f : 3e38f;
 }
 
+/* ---- far away ----------------------------------------------------------------------------------
+ *
+ * From a thousand sizes of the mesh on its boxes are equally far in floats. What is compared then is
+ * the distance beyond `base`, that to the mesh's box, found in double. Axes of a node's own are unit
+ * vectors in floats only, too coarse for it: children of such a node count as near as the node. */
+
+#define FAR 1e3
+
+static double distance_to_box(const double lo[3], const double hi[3], const double x[3])
+{
+  double sum = 0.0;
+  for (int i = 0; i < 3; i++) {
+    const double under = lo[i] - x[i], over = x[i] - hi[i];
+    const double gap = fmax(fmax(under, over), 0.0);
+    sum += gap * gap;
+  }
+  return sqrt(sum);
+}
+
+/* distance - base, rounded down: below what the packets' arithmetic gives */
+static float beyond(double distance, double base)
+{
+  const double rest = distance * (1.0 - 1e-14) - base;
+  return (float)(rest - 1e-6 * fabs(rest));
+}
+
+/* the same of the best so far, rounded up */
+static float far_limit(double distance2, double base)
+{
+  const double rest = sqrt(distance2) * (1.0 + 1e-14) - base;
+  return rest < 3e37 ? (float)(rest + 1e-6 * fabs(rest)) : 3e38f;
+}
+
+/* of child k of a node that is itself `node_beyond` */
+static float child_beyond(const bvh_node *node, int k, const double p[3], double base,
+                          float node_beyond)
+{
+  const double lo[3] = {node->lo[0][k], node->lo[1][k], node->lo[2][k]};
+  const double hi[3] = {node->hi[0][k], node->hi[1][k], node->hi[2][k]};
+  if (lo[0] > hi[0]) return INFINITY; /* no child */
+  const bool is_turned = node->turn[0][0] != 1.0f;
+  return is_turned ? node_beyond : beyond(distance_to_box(lo, hi, p), base);
+}
+
+static void search_far(const bvh *tree, kg_vec3 x, int packet, bool is_any, bvh_best *best)
+{
+  const triple point = all(x);
+  if (packet >= 0) {
+    visit_packet(tree, packet, point, best);
+  }
+  const double lo[3] = {tree->lo.x, tree->lo.y, tree->lo.z};
+  const double hi[3] = {tree->hi.x, tree->hi.y, tree->hi.z};
+  const double base = distance_to_box(lo, hi, (const double[3]){x.x, x.y, x.z});
+  float limit = far_limit(best->distance2, base);
+  waiting stack[BVH_STACK];
+  int top = 0;
+  stack[top++] = (waiting){beyond(base, base), 0};
+  while (top > 0 && !(is_any && best->slot >= 0)) {
+    const waiting at = stack[--top];
+    if (!(at.distance2 <= limit)) continue;
+    if (at.child < 0) {
+      visit_packet(tree, ~at.child, point, best);
+      limit = far_limit(best->distance2, base);
+      continue;
+    }
+    const bvh_node *node = &tree->nodes[at.child];
+    const double p[3] = {x.x - node->origin[0], x.y - node->origin[1], x.z - node->origin[2]};
+    for (int k = 0, first = top; k < BVH_WIDTH; k++) {
+      const waiting child = {child_beyond(node, k, p, base, at.distance2), node->child[k]};
+      if (!(child.distance2 <= limit)) continue;
+      int place = top++; /* the nearest on top */
+      for (; place > first && stack[place - 1].distance2 < child.distance2; place--) {
+        stack[place] = stack[place - 1];
+      }
+      stack[place] = child;
+    }
+  }
+}
+
+/* ---- the search ------------------------------------------------------------------------------ */
+
+static bool is_far(const bvh *tree, kg_vec3 x)
+{
+  const kg_vec3 d = kg_vec3_sub(x, kg_vec3_lerp(tree->lo, tree->hi, 0.5));
+  const kg_vec3 size = kg_vec3_sub(tree->hi, tree->lo);
+  return kg_vec3_dot(d, d) > FAR * FAR * kg_vec3_dot(size, size);
+}
+
 static void search(const bvh *tree, kg_vec3 x, int packet, bool is_any, bvh_best *best)
 {
+  if (is_far(tree, x)) {
+    search_far(tree, x, packet, is_any, best);
+    return;
+  }
   const triple point = all(x);
   if (packet >= 0) {
     visit_packet(tree, packet, point, best);
