@@ -36,6 +36,7 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
   m->reach = kg_measure_balance_reach(m->dt);
   m->window = KG_ARENA_ARRAY(arena, kg_probe, 2 * m->reach + 1);
   m->stamp = KG_ARENA_ARRAY(arena, long, body->point_count);
+  m->hints = KG_ARENA_ARRAY(arena, kg_scene_hint, body->point_count);
   if (kg_arena_failed(arena) ||
       kg_dynamics_create(&m->dynamics, body, subject->allocator) != KG_OK) {
     return false;
@@ -122,12 +123,11 @@ void kg_measure_probe(kg_measure *m, const double *q, kg_probe *probe)
     kg_probe_point at = {.segment = segment, .point = k, .distance = INFINITY};
     if (near) {
       at.x = kg_vec3_add(m->p[segment], kg_mat3_mul_vec(m->R[segment], point->p));
-      const kg_sdf_value phi = kg_soft_distance(scene, at.x);
-      const double core =
-        scene->ground_count > 0 ? kg_scene_distance(scene, at.x).distance : phi.distance;
+      const kg_sdf_value rigid = kg_scene_distance_from(scene, at.x, &m->hints[k]);
+      const kg_sdf_value phi = scene->ground_count > 0 ? kg_soft_distance(scene, at.x) : rigid;
       at.normal = phi.normal;
       at.distance = phi.distance;
-      probe->lowest = fmin(probe->lowest, core);
+      probe->lowest = fmin(probe->lowest, rigid.distance);
       probe->lowest_soft = fmin(probe->lowest_soft, phi.distance);
       if (phi.distance <= KG_METRIC_BALANCE_HEIGHT_M) {
         add_carrier(probe, &at, k < probe->node_count);

@@ -61,6 +61,7 @@ typedef struct kg_measure {
   double *A, *x, *nnls_work;
   int reach;        /* frames the smoothing looks to either side */
   kg_probe *window; /* (2 reach + 1)                             */
+  kg_scene_hint *hints; /* (points) of the pose before   */
   long *stamp;      /* (points) last frame a point was taken     */
 } kg_measure;
 

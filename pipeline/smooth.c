@@ -61,6 +61,7 @@ typedef struct smoothing {
   kg_smoother smoother;
   kg_vec3 *p;
   kg_mat3 *R;
+  kg_scene_hint *hints; /* (points) of the frame before */
 } smoothing;
 
 /* Columns on the path of a segment, the root's position first; returns how many. */
@@ -140,7 +141,7 @@ static void pass_rows(smoothing *s, bool *low)
       const kg_body_point *point = &s->body->points[k];
       const kg_vec3 x =
         kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
-      const kg_sdf_value value = kg_scene_distance(kg_stage_scene(s->stage), x);
+      const kg_sdf_value value = kg_scene_distance_from(kg_stage_scene(s->stage), x, &s->hints[k]);
       if (value.distance >= NEAR_M) {
         continue;
       }
@@ -369,6 +370,7 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   s->W = KG_ARENA_ARRAY(arena, double, nv);
   s->p = KG_ARENA_ARRAY(arena, kg_vec3, s->body->segment_count);
   s->R = KG_ARENA_ARRAY(arena, kg_mat3, s->body->segment_count);
+  s->hints = KG_ARENA_ARRAY(arena, kg_scene_hint, s->body->point_count);
   double *M = KG_ARENA_ARRAY(arena, double, nv *nv);
   kg_smoother_create(&s->smoother, s->T, arena);
   if (kg_arena_failed(arena)) {

@@ -141,7 +141,8 @@ static bool is_beyond(const kg_sdf_shape *s, kg_vec3 x, double limit)
   }
 }
 
-static kg_sdf_value simple_value(const kg_sdf_shape *shape, kg_vec3 x)
+/* hint: of a mesh, or NULL */
+static kg_sdf_value simple_value(const kg_sdf_shape *shape, kg_vec3 x, kg_mesh_hint *hint)
 {
   switch (shape->kind) {
     case KG_SHAPE_PLANE:
@@ -159,7 +160,7 @@ static kg_sdf_value simple_value(const kg_sdf_shape *shape, kg_vec3 x)
     case KG_SHAPE_HEIGHT_FIELD:
       return kg_height_field_distance(shape->field, x);
     case KG_SHAPE_MESH:
-      return kg_mesh_distance(shape->mesh, x);
+      return hint ? kg_mesh_distance_from(shape->mesh, x, hint) : kg_mesh_distance(shape->mesh, x);
     default: /* combinations are not simple */
       return (kg_sdf_value){INFINITY, {0.0, 1.0, 0.0}, {0.0}};
   }
@@ -192,8 +193,14 @@ static kg_sdf_value blend(const kg_sdf_value *a, const kg_sdf_value *b, double r
   return out;
 }
 
+static bool hinted_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3 x, double limit,
+                         kg_mesh_hint *hint, kg_sdf_value *out);
+
 static bool shape_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3 x, double limit,
-                        kg_sdf_value *out);
+                        kg_sdf_value *out)
+{
+  return hinted_value(scene, s, x, limit, NULL, out);
+}
 
 static bool combined_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3 x, double limit,
                            kg_sdf_value *out)
@@ -226,29 +233,29 @@ static bool combined_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3
 
 /* within the place of the shape */
 static bool local_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3 x, double limit,
-                        kg_sdf_value *out)
+                        kg_mesh_hint *hint, kg_sdf_value *out)
 {
   limit += s->offset;
   if (is_combination(s)) {
     if (!combined_value(scene, s, x, limit, out)) return false;
   } else {
     if (is_beyond(s, x, limit)) return false;
-    *out = simple_value(s, x);
+    *out = simple_value(s, x, hint);
   }
   out->distance -= s->offset;
   return true;
 }
 
 /* Phi of the shape, unless that is seen to be further than the limit. */
-static bool shape_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3 x, double limit,
-                        kg_sdf_value *out)
+static bool hinted_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3 x, double limit,
+                         kg_mesh_hint *hint, kg_sdf_value *out)
 {
-  if (s->place == 0) return local_value(scene, s, x, limit, out);
+  if (s->place == 0) return local_value(scene, s, x, limit, hint, out);
   const kg_place *place = &scene->places[s->place - 1];
   const kg_vec3 d = kg_vec3_sub(x, place->at);
   if (place->reach > 0.0 && ball_is_beyond(d, place->reach, limit)) return false;
   const kg_vec3 local = kg_quat_rotate(kg_quat_conj(place->turn), d);
-  if (!local_value(scene, s, local, limit, out)) return false;
+  if (!local_value(scene, s, local, limit, hint, out)) return false;
   *out = rotate_value(kg_quat_matrix(place->turn), *out);
   return true;
 }
@@ -293,6 +300,35 @@ kg_sdf_value kg_scene_distance(const kg_scene *scene, kg_vec3 x)
   if (is_one_plane(scene)) return kg_sdf_plane(scene->shapes[0].a, scene->shapes[0].b, x);
   kg_sdf_value best;
   (void)find_nearest(scene, x, &best);
+  return best;
+}
+
+/* The hinted shape first: its Phi is a limit for the others. Of equally near ones the first counts, as
+ * in find_nearest. */
+kg_sdf_value kg_scene_distance_from(const kg_scene *scene, kg_vec3 x, kg_scene_hint *hint)
+{
+  if (is_one_plane(scene)) return kg_sdf_plane(scene->shapes[0].a, scene->shapes[0].b, x);
+  const int first = hint->shape;
+  const bool known = first >= 0 && first < scene->shape_count && !scene->shapes[first].part;
+  kg_sdf_value best = {INFINITY, {0.0, 1.0, 0.0}, {0.0}}, value;
+  int nearest = -1;
+  if (known && hinted_value(scene, &scene->shapes[first], x, INFINITY, &hint->mesh, &value)) {
+    best = value;
+    nearest = first;
+  }
+  for (int i = 0; i < scene->shape_count; i++) {
+    const kg_sdf_shape *shape = &scene->shapes[i];
+    kg_mesh_hint own = {-1};
+    if (shape->part || (known && i == first)) continue;
+    if (!hinted_value(scene, shape, x, best.distance, &own, &value)) continue;
+    const bool same = value.distance == best.distance;
+    if (same ? i < nearest : !(value.distance >= best.distance)) {
+      best = value;
+      nearest = i;
+      hint->mesh = own;
+    }
+  }
+  hint->shape = nearest;
   return best;
 }
 

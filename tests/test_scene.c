@@ -410,6 +410,37 @@ static void limits_and_balls_change_nothing(void **state)
   free_world(&w);
 }
 
+/* The same bits, wherever the search begins. */
+static void hints_change_nothing(void **state)
+{
+  (void)state;
+  world w = make_world();
+  kg_random random = kg_random_make(98);
+  kg_scene scene = crowded(&w, &random);
+  const kg_sdf_shape twin = scene.shapes[0]; /* equally near: the first counts */
+  scene.shapes[40] = twin;
+  scene.shapes[40].ground = 1;
+  kg_scene_hint hint = {-1, {-1}};
+  kg_vec3 x = random_vec3(&random, 0.5);
+  int kept = 0;
+  for (int i = 0; i < 4000; i++) {
+    if (i % 50 == 0) x = random_vec3(&random, 0.5);
+    if (i % 31 == 0) hint = (kg_scene_hint){40, {-1}};
+    if (i % 97 == 0) hint = (kg_scene_hint){i % 120 - 5, {i % 11 - 3}}; /* nonsense */
+    x = kg_vec3_add(x, random_vec3(&random, 0.01));
+    const int before = hint.shape;
+    const kg_sdf_value with = kg_scene_distance_from(&scene, x, &hint);
+    const kg_scene_point without = kg_scene_nearest(&scene, x);
+    assert_memory_equal(&with, &without.value, sizeof with);
+    assert_int_equal(hint.shape, without.shape);
+    kept += before == hint.shape;
+  }
+  assert_true(kept > 2000 && kept < 4000);
+  const kg_scene plane = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  assert_close(kg_scene_distance_from(&plane, kg_vec3_make(1, 2, 3), &hint).distance, 2.0, 1e-15);
+  free_world(&w);
+}
+
 static void an_offset_rounds(void **state)
 {
   (void)state;
@@ -462,6 +493,7 @@ int main(void)
     cmocka_unit_test(velocity_is_that_of_the_surface),
     cmocka_unit_test(a_shape_in_the_world_is_at_rest_and_hard),
     cmocka_unit_test(limits_and_balls_change_nothing),
+    cmocka_unit_test(hints_change_nothing),
     cmocka_unit_test(an_offset_rounds),
     cmocka_unit_test(a_full_scene_refuses),
   };

@@ -229,8 +229,11 @@ static void both_methods_lead_out(void **state_)
       events += d > KG_METRIC_EVENT_DEPTH_M;
       assert_close(metrics->other_penetration_frame_m[t], left, 1e-12);
     }
-    print_message("%s: %d frames, %.1f mm deep before, %.4f mm after\n",
-                  method == 0 ? "sdf" : "track", frames, 1e3 * before, 1e3 * after);
+    print_message("%s: %d frames, %.1f mm deep before, %.4f mm after; moved %.1f mm, %.1f at most, "
+                  "acceleration %.1f\n",
+                  method == 0 ? "sdf" : "track", frames, 1e3 * before, 1e3 * after,
+                  1e3 * metrics->mpjpe_m, 1e3 * metrics->mpjpe_max_m,
+                  metrics->acceleration_peak_ratio);
     assert_true(frames > 5 && before > 0.02);
     assert_at_most(after, KG_METRIC_TOUCH_DEPTH_M);
     assert_close(metrics->capture.other_penetration_max_m, before, 1e-12);
@@ -238,7 +241,8 @@ static void both_methods_lead_out(void **state_)
     assert_close(metrics->capture.other_penetration_events, (double)events / s->frame_count, 1e-12);
     assert_close(metrics->output.other_frames, 0.0, 1e-12);
     assert_at_most(metrics->output.penetration_max_m, 1.1e-5); /* and not into the floor */
-    assert_at_most(metrics->mpjpe_m, 0.15);
+    assert_at_most(metrics->mpjpe_m, method == 0 ? 0.06 : 0.1);
+    assert_at_most(metrics->mpjpe_max_m, method == 0 ? 0.25 : 0.4);
     kg_metrics_destroy(metrics);
     kg_correct_result_destroy(result);
   }
