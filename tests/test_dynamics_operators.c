@@ -35,6 +35,9 @@ static kg_body *small_body(kg_random *random)
   return body;
 }
 
+/* seed above SOFT: the ground is covered, and it moves and turns */
+enum { SOFT = 1000 };
+
 static fixture *fixture_of(uint64_t seed)
 {
   fixture *f = calloc(1, sizeof *f);
@@ -42,6 +45,12 @@ static fixture *fixture_of(uint64_t seed)
   f->random = kg_random_make(seed);
   f->body = small_body(&f->random);
   f->scene = kg_scene_ground(0.0, kg_vec3_make(0.1, 1.0, -0.2));
+  if (seed > SOFT) {
+    const kg_ground mat = {.thickness = 0.01, .stiffness = 2e4, .damping = 0.4, .friction = -1.0};
+    const kg_place place = {.velocity = {0.3, 0.1, -0.2}, .spin = {0.4, -0.3, 0.2}};
+    f->scene.shapes[0].ground = kg_scene_add_ground(&f->scene, &mat);
+    f->scene.shapes[0].place = kg_scene_add_place(&f->scene, &place);
+  }
   f->def = kg_step_default_def(f->body);
   f->def.scene = &f->scene;
   f->def.joint_damping = 0.3;
@@ -275,24 +284,38 @@ static kg_value record_step(kg_tape *t, kg_value x, void *user)
                           kg_reshape(t, o, KG_SHAPE(SEGMENTS, 3)));
 }
 
-static void contact_and_step_pass_the_gradient_check(void **state)
+/* layers: where the lowest point is, above the ground's core */
+static void check_contact_and_step(uint64_t seed, double layers, const char *contact,
+                                   const char *step)
 {
-  (void)state;
   enum { COUNT = NQ + 2 * NV + 6 + 4 * SEGMENTS };
-  fixture *f = fixture_of(23);
+  fixture *f = fixture_of(seed);
   f->def.tolerance = 1e-12; /* of the solution, that differences be of the function */
   kg_dynamics_operators_destroy(f->operators);
   assert_int_equal(kg_dynamics_operators_create(&f->operators, &f->def, DT), KG_OK);
   for (int k = 0; k < NV; k++) {
     f->v[k] *= 0.05;
   }
-  set_down(f, 0.5 * f->def.contact.layer);
+  set_down(f, layers * f->def.contact.layer);
   double x[COUNT] = {0.0};
   recipe r = {f, 0};
-  check("contact_forces", record_step, &r, NQ + NV + 6, x, 1e-7);
+  check(contact, record_step, &r, NQ + NV + 6, x, 1e-7);
   r.kind = 1;
-  check("implicit_step", record_step, &r, COUNT, x, 1e-6);
+  check(step, record_step, &r, COUNT, x, 1e-6);
   release(f);
+}
+
+static void contact_and_step_pass_the_gradient_check(void **state)
+{
+  (void)state;
+  check_contact_and_step(23, 0.5, "contact_forces", "implicit_step");
+}
+
+static void so_they_do_on_soft_and_moving_ground(void **state)
+{
+  (void)state;
+  check_contact_and_step(SOFT + 23, 1.4, "contact_forces, soft", "implicit_step, soft");
+  check_contact_and_step(SOFT + 24, 0.5, "contact_forces, core", "implicit_step, core");
 }
 
 /* 2 cm below where it touches: the loss, then the pose carried out */
@@ -559,6 +582,7 @@ int main(void)
     cmocka_unit_test(values_equal_plain_calls),
     cmocka_unit_test(smooth_operators_pass_the_gradient_check),
     cmocka_unit_test(contact_and_step_pass_the_gradient_check),
+    cmocka_unit_test(so_they_do_on_soft_and_moving_ground),
     cmocka_unit_test(penetration_passes_the_gradient_check),
     cmocka_unit_test(gradients_are_tangent_to_the_sphere),
     cmocka_unit_test(adjoints_equal_complex_steps),
