@@ -388,6 +388,39 @@ static void set_residuals(json_t *root, const correction *c)
   cli_json_set_number(root, "correction_force_ratio_peak", r->correction_force_ratio_peak);
 }
 
+/* of the shapes beside the floor, and the floor */
+typedef struct scene_counts {
+  int shapes, soft, moving;
+} scene_counts;
+
+static scene_counts count_scene(const kg_scene *scene)
+{
+  scene_counts counts = {scene->shape_count, 0, 0};
+  for (int i = 0; i < scene->shape_count; i++) {
+    const kg_sdf_shape *shape = &scene->shapes[i];
+    const kg_place *place = shape->place > 0 ? &scene->places[shape->place - 1] : NULL;
+    counts.soft += shape->ground > 0;
+    counts.moving += place && kg_vec3_norm(place->velocity) + kg_vec3_norm(place->spin) > 0.0;
+  }
+  return counts;
+}
+
+static json_t *scene_object(const correction *c)
+{
+  const scene_counts counts = count_scene(&c->subject->scene);
+  json_t *object = json_object(), *files = json_array();
+  for (int i = 0; i < c->values->scene.count; i++) {
+    json_array_append_new(files, cli_json_text(c->values->scene.path[i]));
+  }
+  json_object_set_new(object, "files", files);
+  cli_json_set_integer(object, "shape_count", counts.shapes);
+  cli_json_set_integer(object, "soft_count", counts.soft);
+  cli_json_set_integer(object, "moving_count", counts.moving);
+  cli_json_set_number(object, "floor_thickness_m",
+                      c->scene.has_floor ? c->scene.floor.thickness : 0.0);
+  return object;
+}
+
 static json_t *report(const correction *c)
 {
   const kg_correct_result *r = c->result;
@@ -406,6 +439,7 @@ static json_t *report(const correction *c)
   json_object_set_new(root, "newton", newton_object(c));
   cli_json_set_integer(root, "sdf_iterations", r->sdf_iterations);
   cli_report_source(root, c->clip, c->subject);
+  json_object_set_new(root, "scene", scene_object(c));
   if (c->other) {
     json_t *other = json_object();
     cli_report_source(other, c->other_clip, c->other);
@@ -421,6 +455,15 @@ static void print_table(FILE *out, const correction *c)
 {
   const kg_correct_result *r = c->result;
   cli_print_source(out, c->clip, c->subject);
+  const scene_counts counts = count_scene(&c->subject->scene);
+  if (counts.shapes > 1 || counts.soft > 0) {
+    fprintf(out, "  scene        floor and %d shapes, %d of them all soft, %d moving\n",
+            counts.shapes - 1, counts.soft, counts.moving);
+  }
+  if (c->other) {
+    fprintf(out, "  with         %s, %d frames at %.6g Hz\n", c->values->with,
+            c->other->frame_count, 1.0 / c->other->dt);
+  }
   fprintf(out, "\n%s, --method %s\n", c->values->output, method_name(c->values));
   cli_print_scores(out, c->metrics);
   char text[96];

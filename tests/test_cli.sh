@@ -356,6 +356,9 @@ cat >gym.json <<'END'
 END
 run 0 correct "$data/walker.bvh" -o out/hard.bvh --method sdf --json out/hard.json --quiet
 run 0 correct "$data/walker.bvh" -o out/gym.bvh --method sdf --scene gym.json --json out/gym.json --quiet
+claim "the report counts shapes" test "$("$json_get" out/gym.json scene.shape_count)" = 9
+claim "soft ones" test "$("$json_get" out/gym.json scene.soft_count)" = 3
+claim "and moving ones" test "$("$json_get" out/gym.json scene.moving_count)" = 1
 claim "the capture is 30 mm less deep in the core" sh -c \
   'awk -v a="$("$0" out/hard.json capture.penetration_max_m)" -v b="$("$0" out/gym.json capture.penetration_max_m)" \
    "BEGIN {d = a - b - 0.03; exit !(d < 1e-9 && d > -1e-9)}"' "$json_get"
