@@ -185,6 +185,9 @@ static kg_status check_header(const reader *r, const unsigned char *bytes, heade
       return REFUSE(r, "byte 40: a spacing of %g m", out->spacing);
     }
   }
+  if (!grid_is_fine(out->lo, out->spacing, out->n)) {
+    return REFUSE(r, "byte 40: a spacing of %g m, too little so far from the origin", out->spacing);
+  }
   if (total >= 2147483648.0)
     return REFUSE(r, "byte 48: %.0f nodes, expected less than 2^31", total);
   return KG_OK;

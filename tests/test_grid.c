@@ -539,9 +539,10 @@ static void damaged_files_are_refused(void **state)
     assert_int_equal(load_bytes(bytes, cut, &error), KG_ERR_FORMAT);
   }
   free(bytes);
-  const char *names[] = {"cut", "huge", "nan"};
-  const char *words[] = {"the file has 200 bytes", "nodes, expected less", "checksum"};
-  for (int i = 0; i < 3; i++) {
+  const char *names[] = {"cut", "huge", "nan", "far"};
+  const char *words[] = {"the file has 200 bytes", "nodes, expected less", "checksum",
+                         "too little so far from the origin"};
+  for (int i = 0; i < 4; i++) {
     char path[1024];
     kg_grid *grid;
     snprintf(path, sizeof path, KG_TEST_DATA "/fuzz/grid/%s", names[i]);
