@@ -13,6 +13,7 @@
 
 #include "kinegrad/arena.h"
 #include "kinegrad/correction.h"
+#include "physics/near_points.h"
 #include "physics/physics.h"
 #include "solver/least_move.h"
 
@@ -36,15 +37,6 @@ typedef struct touch {
   kg_sdf_value at;
 } touch;
 
-/* A ball around the points of a segment, and what it says of them. */
-typedef struct segment_ball {
-  int segment;
-  int first, count; /* of its points in points_by_segment */
-  kg_vec3 center;   /* in the segment frame                */
-  double radius;
-  double bound; /* no point of the segment is nearer  */
-} segment_ball;
-
 /* What correction_vjp.c keeps from prepare to pull. */
 typedef struct correction_adjoint {
   bool untouched; /* the pose was within the tolerance: the identity        */
@@ -65,9 +57,8 @@ struct kg_correction {
   kg_dynamics *dynamics;
   int nv, point_count;
 
-  segment_ball *balls; /* (ball_count), nearest first at the pose sampled */
-  int ball_count;
-  int *points_by_segment; /* (points) */
+  near_points near_points;
+  kg_scene_hint *hints; /* (points) of the pose before */
 
   /* the last pose sampled */
   kg_vec3 *p;     /* (n) joints                   */

@@ -1,73 +1,14 @@
 /* What a pose touches, and the derivatives of that; symbols in correction.h.
- *
- * Distances grow by no more than the way gone, so a ball around a segment's points dismisses them
- * all when its centre is far enough. */
+ */
 #include "physics/correction.h"
 
 #include <string.h>
 
-/* ---- balls around segments ---------------------------------------------------------------------*/
-
-/* Ball around the corners of the box of a segment's points: not the smallest, near enough. */
-static segment_ball ball_around(const kg_body *body, int segment, const int *points, int count)
-{
-  segment_ball ball = {.segment = segment, .count = count};
-  kg_vec3 low = body->points[points[0]].p, high = low;
-  for (int k = 1; k < count; k++) {
-    const kg_vec3 p = body->points[points[k]].p;
-    low = kg_vec3_make(fmin(low.x, p.x), fmin(low.y, p.y), fmin(low.z, p.z));
-    high = kg_vec3_make(fmax(high.x, p.x), fmax(high.y, p.y), fmax(high.z, p.z));
-  }
-  ball.center = kg_vec3_scale(0.5, kg_vec3_add(low, high));
-  for (int k = 0; k < count; k++) {
-    const double r = kg_vec3_norm(kg_vec3_sub(body->points[points[k]].p, ball.center));
-    ball.radius = fmax(ball.radius, r * (1.0 + 1e-12));
-  }
-  return ball;
-}
-
-static void make_balls(kg_correction *c)
-{
-  const kg_body *body = c->def.body;
-  int filled = 0;
-  for (int i = 0; i < body->segment_count; i++) {
-    const int first = filled;
-    for (int k = 0; k < body->point_count; k++) {
-      if (body->points[k].segment == i) c->points_by_segment[filled++] = k;
-    }
-    if (filled == first) continue;
-    c->balls[c->ball_count] = ball_around(body, i, c->points_by_segment + first, filled - first);
-    c->balls[c->ball_count++].first = first;
-  }
-}
-
 void correction_pose_init(kg_correction *c, kg_arena *arena)
 {
-  const kg_body *body = c->def.body;
-  c->balls = KG_ARENA_ARRAY(arena, segment_ball, body->segment_count);
-  c->points_by_segment = KG_ARENA_ARRAY(arena, int, body->point_count);
-  c->touches = KG_ARENA_ARRAY(arena, touch, body->point_count);
-  if (!kg_arena_failed(arena)) make_balls(c);
-}
-
-/* Bounds of all balls, nearest first; from one pose to the next the order hardly changes. False when
- * one is not a number. */
-static bool bound_balls(kg_correction *c, kg_vec3 shift)
-{
-  bool defined = true;
-  for (int b = 0; b < c->ball_count; b++) {
-    segment_ball ball = c->balls[b];
-    const kg_vec3 center =
-      kg_vec3_add(c->p[ball.segment], kg_mat3_mul_vec(c->R[ball.segment], ball.center));
-    ball.bound = kg_scene_distance(c->def.scene, kg_vec3_add(center, shift)).distance - ball.radius;
-    defined = defined && !isnan(ball.bound);
-    int at = b;
-    for (; at > 0 && c->balls[at - 1].bound > ball.bound; at--) {
-      c->balls[at] = c->balls[at - 1];
-    }
-    c->balls[at] = ball;
-  }
-  return defined;
+  near_points_init(&c->near_points, c->def.body, arena);
+  c->hints = KG_ARENA_ARRAY(arena, kg_scene_hint, c->def.body->point_count);
+  c->touches = KG_ARENA_ARRAY(arena, touch, c->def.body->point_count);
 }
 
 /* ---- penetration -------------------------------------------------------------------------------*/
@@ -77,9 +18,9 @@ static void measure_points(kg_correction *c, const segment_ball *ball, kg_vec3 s
   const kg_vec3 p = kg_vec3_add(c->p[ball->segment], shift);
   for (int k = ball->first; k < ball->first + ball->count; k++) {
     touch *t = &c->touches[c->touch_count];
-    t->point = c->points_by_segment[k];
+    t->point = c->near_points.points[k];
     t->x = kg_vec3_add(p, kg_mat3_mul_vec(c->R[ball->segment], c->def.body->points[t->point].p));
-    t->at = kg_scene_distance(c->def.scene, t->x);
+    t->at = kg_scene_distance_from(c->def.scene, t->x, &c->hints[t->point]);
     const double phi = t->at.distance;
     if (phi < 0.0) {
       c->sum_depth -= phi;
@@ -92,14 +33,15 @@ static void measure_points(kg_correction *c, const segment_ball *ball, kg_vec3 s
 
 void correction_measure(kg_correction *c, kg_vec3 shift)
 {
-  const bool defined = bound_balls(c, shift);
+  near_points *near = &c->near_points;
+  const bool defined = near_points_sort(near, c->def.scene, c->p, c->R, shift);
   c->touch_count = 0;
   c->sum_depth = c->L_coll = 0.0;
   c->lowest = INFINITY;
-  for (int b = 0; b < c->ball_count && defined && !isnan(c->lowest); b++) {
+  for (int b = 0; b < near->count && defined && !isnan(c->lowest); b++) {
     const double wanted = fmax(c->lowest, c->near + fmax(-c->lowest, 0.0));
-    if (c->balls[b].bound > wanted) break;
-    measure_points(c, &c->balls[b], shift);
+    if (near->balls[b].bound > wanted) break;
+    measure_points(c, &near->balls[b], shift);
   }
   if (!defined) c->lowest = NAN;
   c->d_pen = isnan(c->lowest) ? NAN : fmax(-c->lowest, 0.0);

@@ -55,6 +55,9 @@ void kg_smoother_create(kg_smoother *smoother, int count, kg_arena *arena);
 void kg_smoother_factor(kg_smoother *smoother, const double *weight, double tau4); /* NULL: zeros */
 /* y <- A^-1 y, over every stride-th number. */
 void kg_smoother_solve(const kg_smoother *smoother, double *y, int stride);
+/* The same for every column of y (count, width); width a multiple of KG_SMOOTHER_COLUMNS. */
+enum { KG_SMOOTHER_COLUMNS = 8 };
+void kg_smoother_solve_rows(const kg_smoother *smoother, double *y, int width);
 
 /* ---- reference.c ----------------------------------------------------------------------------- */
 

@@ -9,7 +9,8 @@
  *
  * Linearised in D (rows g = n'J), the dual is a quadratic over y >= 0 with the operator
  *   G (A kron W)^-1 G',   A = I + tau4 D2'D2 (smoother.c),
- * and is solved by the accelerated projected gradient of [BT]; three linearisations. What is left,
+ * and is solved by the accelerated projected gradient of [BT], which starts from the answer of the last
+ * linearisation: few steps are enough. What is left,
  * fractions of a millimetre that change faster than tau, is removed frame by frame by the correction
  * of kinegrad/correction.h, down to its tolerance.
  *
@@ -20,25 +21,35 @@
 #include "kinegrad/correction.h"
 #include "kinegrad/dynamics.h"
 #include "kinegrad/stage.h"
+#include "physics/near_points.h"
 
 #include <pthread.h>
 #include <string.h>
 #include <time.h>
 
-enum { LINEARISATIONS = 5, DUAL_ITERATIONS = 300, MAX_COLUMNS = 3 + 3 * 256, MAX_THREADS = 16 };
+enum { LINEARISATIONS = 10, DUAL_ITERATIONS = 20, MAX_THREADS = 16 };
 
 static const double EASE_TIME_S = 0.1;
 static const double NEAR_M = 0.004;     /* points nearer than this get a row        */
 static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
 static const double ROOT_SHARE =
   0.1; /* the body rises rather than folds straight legs, whose knees jerk */
-static const double AIM_M = 2e-5; /* distance asked for, above the tolerance  */
+static const double DUAL_M = 2e-6; /* miss of a row at which the dual is solved  */
+static const double AIM_M = 2e-5;  /* distance asked for, above the tolerance  */
 
-/* One constraint: point k in frame t. Its row is stored over the columns of its support path. */
+/* Columns on the way of a segment to the root, the root's position first. */
+typedef struct path {
+  int count;
+  int *column;  /* of v                                            */
+  int *compact; /* among the columns that the rows have            */
+  bool used;    /* by a row                                        */
+} path;
+
+/* One constraint: point k in frame t. Its row is stored over the columns of its path. */
 typedef struct row {
-  int frame;
-  int segment;
-  size_t first; /* of its entries in `entries`, in the order of path_columns */
+  int frame, point, segment;
+  size_t first; /* of its entries in `entries`, in the order of the path */
+  double scale; /* its bound times this is the distance, m^-1 kg^-1/2    */
   double bound; /* g D >= bound                                               */
   double y, z;  /* dual variable and its extrapolation                        */
 } row;
@@ -50,34 +61,25 @@ typedef struct smoothing {
   kg_stage *stage;
   kg_correct_result *result;
   int T, nv;
-  double *D;           /* (T, nv) change                      */
-  double *trial;       /* (T, nv) A^-1 W^-1 G' z              */
-  double *W;           /* (nv)                                */
-  kg_arena row_memory; /* of rows and entries, anew in every linearisation */
+  double *D;       /* (T, nv) change                                              */
+  double *W;       /* (nv)                                                        */
+  path *paths;     /* (segments); empty where no point can be near                */
+  int *column_of;  /* (width) column of v; -1: padding                            */
+  int *compact_of; /* (nv) and back; -1: not among them                     */
+  int width;       /* columns that the rows have, padded to whole blocks    */
+  double *trial;   /* (T, width) A^-1 W^-1 G' z                                   */
+  near_points near;
+  double *force;       /* (T, points) y of the last linearisation, rows not normalised */
+  kg_arena row_memory; /* of rows and entries */
   row *rows;
-  size_t row_count;
+  size_t row_count, row_room;
   double *entries;
-  size_t entry_count;
+  size_t entry_count, entry_room;
   kg_smoother smoother;
   kg_vec3 *p;
   kg_mat3 *R;
   kg_scene_hint *hints; /* (points) of the frame before */
 } smoothing;
-
-/* Columns on the path of a segment, the root's position first; returns how many. */
-static int path_columns(const kg_body *body, int segment, int columns[])
-{
-  int n = 0;
-  for (int k = 0; k < 3; k++) {
-    columns[n++] = k;
-  }
-  for (int i = segment; i >= 0; i = body->segments[i].parent) {
-    for (int k = 0; k < 3; k++) {
-      columns[n++] = 3 + 3 * i + k;
-    }
-  }
-  return n;
-}
 
 /* n'J of a point, over the columns of its path */
 static void write_row(smoothing *s, row *r, kg_vec3 x, kg_vec3 normal)
@@ -95,26 +97,29 @@ static void write_row(smoothing *s, row *r, kg_vec3 x, kg_vec3 normal)
   }
 }
 
-static double row_dot(const smoothing *s, const row *r, const double *D)
+/* the row times numbers of its frame; over columns of v, or over the compact ones */
+static double row_dot(const double *g, const int *columns, int count, const double *d)
 {
-  int columns[MAX_COLUMNS];
-  const int n = path_columns(s->body, r->segment, columns);
-  const double *g = s->entries + r->first, *d = D + (size_t)r->frame * (size_t)s->nv;
   double sum = 0.0;
-  for (int k = 0; k < n; k++) {
+  for (int k = 0; k < count; k++) {
     sum += g[k] * d[columns[k]];
   }
   return sum;
 }
 
-static void row_add(const smoothing *s, const row *r, double y, double *D)
+static double row_trial(const smoothing *s, const row *r)
 {
-  int columns[MAX_COLUMNS];
-  const int n = path_columns(s->body, r->segment, columns);
+  const path *p = &s->paths[r->segment];
+  return row_dot(s->entries + r->first, p->compact, p->count,
+                 s->trial + (size_t)r->frame * (size_t)s->width);
+}
+
+static void row_add(const smoothing *s, const row *r, double y, double *d)
+{
+  const path *p = &s->paths[r->segment];
   const double *g = s->entries + r->first;
-  double *d = D + (size_t)r->frame * (size_t)s->nv;
-  for (int k = 0; k < n; k++) {
-    d[columns[k]] += y * g[k];
+  for (int k = 0; k < p->count; k++) {
+    d[p->compact[k]] += y * g[k];
   }
 }
 
@@ -128,70 +133,115 @@ static void pose_frame(smoothing *s, int t)
   kg_stage_set(s->stage, t * s->subject->dt, s->p[0]);
 }
 
-/* One pass over all points and frames: counts rows and entries, and writes them when there is memory
- * for them. Bounds are for the whole change, not for its increment. *low: something penetrates. */
-static void pass_rows(smoothing *s, bool *low)
+/* Room for one row more, of `entries` numbers; false without memory. */
+static bool has_room(smoothing *s, size_t entries)
 {
-  int columns[MAX_COLUMNS];
-  s->row_count = s->entry_count = 0;
-  *low = false;
-  for (int t = 0; t < s->T; t++) {
-    pose_frame(s, t);
-    for (int k = 0; k < s->body->point_count; k++) {
-      const kg_body_point *point = &s->body->points[k];
-      const kg_vec3 x =
-        kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
-      const kg_sdf_value value = kg_scene_distance_from(kg_stage_scene(s->stage), x, &s->hints[k]);
-      if (value.distance >= NEAR_M) {
-        continue;
-      }
-      *low = *low || value.distance < 0.0;
-      if (s->rows) {
-        row *r = &s->rows[s->row_count];
-        *r = (row){.frame = t, .segment = point->segment, .first = s->entry_count};
-        write_row(s, r, x, value.normal);
-        r->bound = AIM_M - value.distance + row_dot(s, r, s->D);
-      }
-      s->row_count++;
-      s->entry_count += (size_t)path_columns(s->body, point->segment, columns);
-    }
+  if (s->row_count == s->row_room) {
+    const size_t room = s->row_room ? 2 * s->row_room : (size_t)s->T;
+    row *rows = KG_ARENA_ARRAY(&s->row_memory, row, room);
+    if (rows && s->row_count) memcpy(rows, s->rows, s->row_count * sizeof *rows);
+    s->rows = rows;
+    s->row_room = rows ? room : s->row_count;
   }
+  if (s->entry_count + entries > s->entry_room) {
+    const size_t room = 2 * s->entry_room + 16 * (size_t)s->T + entries;
+    double *numbers = KG_ARENA_ARRAY(&s->row_memory, double, room);
+    if (numbers && s->entry_count) {
+      memcpy(numbers, s->entries, s->entry_count * sizeof *numbers);
+    }
+    s->entries = numbers;
+    s->entry_room = numbers ? room : s->entry_count;
+  }
+  return !kg_arena_failed(&s->row_memory);
 }
 
-/* rows of every near point at q (+) D; false without memory */
+static void pass_point(smoothing *s, int t, int k, bool *low)
+{
+  const kg_body_point *point = &s->body->points[k];
+  const path *p = &s->paths[point->segment];
+  const kg_vec3 x =
+    kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
+  const kg_sdf_value value = kg_scene_distance_from(kg_stage_scene(s->stage), x, &s->hints[k]);
+  if (value.distance >= NEAR_M) {
+    return;
+  }
+  *low = *low || value.distance < 0.0;
+  if (!has_room(s, (size_t)p->count)) {
+    return;
+  }
+  row *r = &s->rows[s->row_count];
+  *r = (row){.frame = t, .point = k, .segment = point->segment, .first = s->entry_count};
+  write_row(s, r, x, value.normal);
+  r->bound = AIM_M - value.distance +
+             row_dot(s->entries + r->first, p->column, p->count, s->D + (size_t)t * (size_t)s->nv);
+  s->row_count++;
+  s->entry_count += (size_t)p->count;
+}
+
+/* Rows of the points that are near, over all frames. Bounds are for the whole change, not for its
+ * increment. *low: something penetrates. False without memory. */
 static bool linearise(smoothing *s, bool *low)
 {
-  kg_arena_release(&s->row_memory);
-  s->rows = NULL;
-  pass_rows(s, low);
-  if (!*low) {
-    return true;
-  }
-  row *rows = KG_ARENA_ARRAY(&s->row_memory, row, s->row_count);
-  s->entries = KG_ARENA_ARRAY(&s->row_memory, double, s->entry_count);
-  if (kg_arena_failed(&s->row_memory)) {
-    return false;
-  }
-  s->rows = rows;
-  pass_rows(s, low);
-  return true;
-}
-
-/* out = (A kron W)^-1 G' z */
-static void apply_inverse(smoothing *s, double *out, bool extrapolated)
-{
-  memset(out, 0, (size_t)s->T * (size_t)s->nv * sizeof *out);
-  for (size_t i = 0; i < s->row_count; i++) {
-    row_add(s, &s->rows[i], extrapolated ? s->rows[i].z : s->rows[i].y, out);
-  }
-  for (int t = 0; t < s->T; t++) {
-    for (int j = 0; j < s->nv; j++) {
-      out[(size_t)t * (size_t)s->nv + (size_t)j] /= s->W[j];
+  s->row_count = s->entry_count = 0;
+  *low = false;
+  for (int t = 0; t < s->T && !kg_arena_failed(&s->row_memory); t++) {
+    pose_frame(s, t);
+    (void)near_points_sort(&s->near, kg_stage_scene(s->stage), s->p, s->R,
+                           kg_vec3_make(0.0, 0.0, 0.0));
+    for (int b = 0; b < s->near.count && s->near.balls[b].bound < NEAR_M; b++) {
+      const segment_ball *ball = &s->near.balls[b];
+      for (int k = ball->first; k < ball->first + ball->count; k++) {
+        pass_point(s, t, s->near.points[k], low);
+      }
     }
   }
+  return !kg_arena_failed(&s->row_memory);
+}
+
+/* The columns that the rows have: those on the way of a segment with one. The others stay zero. */
+static void number_columns(smoothing *s)
+{
   for (int j = 0; j < s->nv; j++) {
-    kg_smoother_solve(&s->smoother, out + j, s->nv);
+    s->compact_of[j] = -1;
   }
+  for (int i = 0; i < s->body->segment_count; i++) {
+    s->paths[i].used = false;
+  }
+  s->width = 0;
+  for (size_t i = 0; i < s->row_count; i++) {
+    path *p = &s->paths[s->rows[i].segment];
+    for (int k = 0; k < p->count && !p->used; k++) {
+      int *compact = &s->compact_of[p->column[k]];
+      if (*compact < 0) {
+        s->column_of[s->width] = p->column[k];
+        *compact = s->width++;
+      }
+      p->compact[k] = *compact;
+    }
+    p->used = true;
+  }
+  while (s->width % KG_SMOOTHER_COLUMNS != 0) {
+    s->column_of[s->width++] = -1;
+  }
+}
+
+/* trial = (A kron W)^-1 G' z, or y */
+static void apply_inverse(smoothing *s, bool extrapolated)
+{
+  const size_t width = (size_t)s->width;
+  memset(s->trial, 0, (size_t)s->T * width * sizeof *s->trial);
+  for (size_t i = 0; i < s->row_count; i++) {
+    const row *r = &s->rows[i];
+    const double y = extrapolated ? r->z : r->y;
+    if (y != 0.0) row_add(s, r, y, s->trial + (size_t)r->frame * width);
+  }
+  for (int j = 0; j < s->width; j++) {
+    const double share = s->column_of[j] < 0 ? 0.0 : 1.0 / s->W[s->column_of[j]];
+    for (size_t t = 0; t < (size_t)s->T; t++) {
+      s->trial[t * width + (size_t)j] *= share;
+    }
+  }
+  kg_smoother_solve_rows(&s->smoother, s->trial, s->width);
 }
 
 /* Rows scaled to g W^-1 g' = 1: points on light segments must not set the step of all others. */
@@ -199,17 +249,16 @@ static void normalise_rows(smoothing *s)
 {
   for (size_t i = 0; i < s->row_count; i++) {
     row *r = &s->rows[i];
-    int columns[MAX_COLUMNS];
-    const int n = path_columns(s->body, r->segment, columns);
+    const path *p = &s->paths[r->segment];
     double *g = s->entries + r->first, size2 = 0.0;
-    for (int k = 0; k < n; k++) {
-      size2 += g[k] * g[k] / s->W[columns[k]];
+    for (int k = 0; k < p->count; k++) {
+      size2 += g[k] * g[k] / s->W[p->column[k]];
     }
-    const double scale = 1.0 / sqrt(size2);
-    for (int k = 0; k < n; k++) {
-      g[k] *= scale;
+    r->scale = 1.0 / sqrt(size2);
+    for (int k = 0; k < p->count; k++) {
+      g[k] *= r->scale;
     }
-    r->bound *= scale;
+    r->bound *= r->scale;
   }
 }
 
@@ -225,18 +274,15 @@ static double operator_bound(smoothing *s)
       end++;
     }
     for (size_t i = first; i < end; i++) {
-      memset(probe, 0, (size_t)s->nv * sizeof *probe);
-      row here = s->rows[i];
-      here.frame = 0;
-      row_add(s, &here, 1.0, probe);
-      for (int j = 0; j < s->nv; j++) {
-        probe[j] /= s->W[j];
+      memset(probe, 0, (size_t)s->width * sizeof *probe);
+      row_add(s, &s->rows[i], 1.0, probe);
+      for (int j = 0; j < s->width; j++) {
+        probe[j] /= s->column_of[j] < 0 ? 1.0 : s->W[s->column_of[j]];
       }
       double sum = 0.0;
       for (size_t k = first; k < end; k++) {
-        row other = s->rows[k];
-        other.frame = 0;
-        sum += fabs(row_dot(s, &other, probe));
+        const path *p = &s->paths[s->rows[k].segment];
+        sum += fabs(row_dot(s->entries + s->rows[k].first, p->compact, p->count, probe));
       }
       largest = fmax(largest, sum);
     }
@@ -245,30 +291,52 @@ static double operator_bound(smoothing *s)
   return largest;
 }
 
-/* [BT] (4.1)-(4.3) on the dual: y+ = max(0, z + (bound - g D(z)) / L), with restart on ascent */
+static double *force_of(const smoothing *s, const row *r)
+{
+  return &s->force[(size_t)r->frame * (size_t)s->body->point_count + (size_t)r->point];
+}
+
+/* [BT] (4.1)-(4.3) on the dual: y+ = max(0, z + (bound - g D(z)) / L), with restart on ascent; done
+ * when no row would move by more than DUAL_M for its own step */
 static void solve_dual(smoothing *s)
 {
+  number_columns(s);
   normalise_rows(s);
   const double step = 1.0 / operator_bound(s);
-  double momentum = 1.0;
-  for (size_t i = 0; i < s->row_count; i++) {
-    s->rows[i].y = s->rows[i].z = 0.0;
+  double momentum = 1.0, change = INFINITY;
+  for (size_t i = 0; i < s->row_count; i++) { /* from the last linearisation's answer */
+    row *r = &s->rows[i];
+    r->y = r->z = *force_of(s, r) / r->scale;
   }
-  for (int round = 0; round < DUAL_ITERATIONS; round++) {
-    apply_inverse(s, s->trial, true);
+  for (int round = 0; round < DUAL_ITERATIONS && change > DUAL_M; round++) {
+    apply_inverse(s, true);
     const double next = 0.5 * (1.0 + sqrt(1.0 + 4.0 * momentum * momentum));
     const double beta = (momentum - 1.0) / next;
     double against = 0.0;
+    change = 0.0;
     for (size_t i = 0; i < s->row_count; i++) {
       row *r = &s->rows[i];
-      const double y = fmax(0.0, r->z + step * (r->bound - row_dot(s, r, s->trial)));
+      const double y = fmax(0.0, r->z + step * (r->bound - row_trial(s, r)));
+      change = fmax(change, fabs(y - r->z) / (step * r->scale));
       against += (r->z - y) * (y - r->y);
       r->z = y + beta * (y - r->y);
       r->y = y;
     }
     momentum = against > 0.0 ? 1.0 : next;
   }
-  apply_inverse(s, s->D, false);
+  apply_inverse(s, false);
+  memset(s->force, 0, (size_t)s->T * (size_t)s->body->point_count * sizeof *s->force);
+  for (size_t i = 0; i < s->row_count; i++) {
+    *force_of(s, &s->rows[i]) = s->rows[i].y * s->rows[i].scale;
+  }
+  memset(s->D, 0, (size_t)s->T * (size_t)s->nv * sizeof *s->D);
+  for (size_t t = 0; t < (size_t)s->T; t++) {
+    for (int j = 0; j < s->width; j++) {
+      if (s->column_of[j] < 0) continue;
+      s->D[t * (size_t)s->nv + (size_t)s->column_of[j]] =
+        s->trial[t * (size_t)s->width + (size_t)j];
+    }
+  }
 }
 
 static bool is_zero(const double *x, int n)
@@ -362,17 +430,47 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
   return status;
 }
 
+static void make_paths(smoothing *s, kg_arena *arena)
+{
+  const kg_body *body = s->body;
+  s->paths = KG_ARENA_ARRAY(arena, path, body->segment_count);
+  s->column_of = KG_ARENA_ARRAY(arena, int, s->nv + KG_SMOOTHER_COLUMNS);
+  s->compact_of = KG_ARENA_ARRAY(arena, int, s->nv);
+  for (int b = 0; b < s->near.count && !kg_arena_failed(arena); b++) {
+    const int segment = s->near.balls[b].segment;
+    path *p = &s->paths[segment];
+    p->count = 3;
+    for (int i = segment; i >= 0; i = body->segments[i].parent) {
+      p->count += 3;
+    }
+    p->column = KG_ARENA_ARRAY(arena, int, p->count);
+    p->compact = KG_ARENA_ARRAY(arena, int, p->count);
+    if (kg_arena_failed(arena)) return;
+    for (int k = 0; k < 3; k++) {
+      p->column[k] = k;
+    }
+    for (int i = segment, at = 3; i >= 0; i = body->segments[i].parent) {
+      for (int k = 0; k < 3; k++) {
+        p->column[at++] = 3 + 3 * i + k;
+      }
+    }
+  }
+}
+
 static kg_status smoothing_create(smoothing *s, kg_arena *arena)
 {
   const size_t T = (size_t)s->T, nv = (size_t)s->nv;
   s->D = KG_ARENA_ARRAY(arena, double, T *nv);
-  s->trial = KG_ARENA_ARRAY(arena, double, T *nv);
   s->W = KG_ARENA_ARRAY(arena, double, nv);
   s->p = KG_ARENA_ARRAY(arena, kg_vec3, s->body->segment_count);
   s->R = KG_ARENA_ARRAY(arena, kg_mat3, s->body->segment_count);
   s->hints = KG_ARENA_ARRAY(arena, kg_scene_hint, s->body->point_count);
   double *M = KG_ARENA_ARRAY(arena, double, nv *nv);
+  near_points_init(&s->near, s->body, arena);
+  s->force = KG_ARENA_ARRAY(arena, double, T *(size_t)s->body->point_count);
   kg_smoother_create(&s->smoother, s->T, arena);
+  if (!kg_arena_failed(arena)) make_paths(s, arena);
+  s->trial = KG_ARENA_ARRAY(arena, double, T *(nv + KG_SMOOTHER_COLUMNS));
   if (kg_arena_failed(arena)) {
     return KG_ERR_NO_MEMORY;
   }

@@ -51,3 +51,44 @@ void kg_smoother_solve(const kg_smoother *smoother, double *y, int stride)
     after = x;
   }
 }
+
+/* Eight columns at a time: their recurrences do not wait for each other. */
+static void solve_eight(const kg_smoother *smoother, double *y, size_t stride)
+{
+  enum { E = KG_SMOOTHER_COLUMNS };
+  const int n = smoother->count;
+  double before[E] = {0.0}, before2[E] = {0.0};
+  for (int t = 0; t < n; t++) { /* L z = y */
+    const double L1 = smoother->L1[t], L2 = smoother->L2[t];
+    double *row = y + (size_t)t * stride, z[E];
+    for (int j = 0; j < E; j++) {
+      z[j] = row[j] - L1 * before[j] - L2 * before2[j];
+    }
+    for (int j = 0; j < E; j++) {
+      before2[j] = before[j];
+      before[j] = row[j] = z[j];
+    }
+  }
+  double after[E] = {0.0}, after2[E] = {0.0};
+  for (int t = n - 1; t >= 0; t--) { /* D L' x = z */
+    const double share = 1.0 / smoother->D[t];
+    const double L1 = t + 1 < n ? smoother->L1[t + 1] : 0.0;
+    const double L2 = t + 2 < n ? smoother->L2[t + 2] : 0.0;
+    double *row = y + (size_t)t * stride, x[E];
+    for (int j = 0; j < E; j++) {
+      x[j] = share * row[j] - L1 * after[j] - L2 * after2[j];
+    }
+    for (int j = 0; j < E; j++) {
+      after2[j] = after[j];
+      after[j] = row[j] = x[j];
+    }
+  }
+}
+
+void kg_smoother_solve_rows(const kg_smoother *smoother, double *y, int width)
+{
+  KG_ASSERT(width % KG_SMOOTHER_COLUMNS == 0);
+  for (int j = 0; j < width; j += KG_SMOOTHER_COLUMNS) {
+    solve_eight(smoother, y + j, (size_t)width);
+  }
+}
