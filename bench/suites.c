@@ -22,6 +22,7 @@ static const kg_bench_group step[] = {
 
 static const kg_bench_group sdf[] = {
   {kg_bench_mesh_cases, BENCH_MESH_CASES},
+  {kg_bench_grid_cases, BENCH_GRID_CASES},
 };
 
 const kg_bench_suite kg_bench_suites[] = {
@@ -31,7 +32,8 @@ const kg_bench_suite kg_bench_suites[] = {
    KG_COUNT_OF(dynamics)},
   {"step", "implicit steps of a body and their derivatives beside MuJoCo", "../shared/data", step,
    KG_COUNT_OF(step)},
-  {"sdf", "distances to meshes beside Embree and CGAL", NULL, sdf, KG_COUNT_OF(sdf)},
+  {"sdf", "distances to meshes beside Embree and CGAL, grids beside OpenVDB", NULL, sdf,
+   KG_COUNT_OF(sdf)},
 };
 const int kg_bench_suite_count = (int)KG_COUNT_OF(kg_bench_suites);
 

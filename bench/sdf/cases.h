@@ -11,8 +11,9 @@
     .name = (title), .absent = package " was not there at build time", .parts = (mask)             \
   }
 
-enum { BENCH_MESH_CASES = 6 };
+enum { BENCH_MESH_CASES = 6, BENCH_GRID_CASES = 2 };
 
 extern const kg_bench_case kg_bench_mesh_cases[BENCH_MESH_CASES];
+extern const kg_bench_case kg_bench_grid_cases[BENCH_GRID_CASES];
 
 #endif
