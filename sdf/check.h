@@ -16,7 +16,8 @@ typedef struct mesh_file {
   size_t size;
   char *plain; /* room for CHECK_ROOM(size) bytes */
   size_t plain_size;
-  long long vertices, faces; /* -1: the format repeats vertices */
+  long long vertices, faces; /* -1: the format repeats vertices; faces without the collapsed */
+  long long collapsed;       /* with fewer than three different corners: the readers drop them */
   bool binary;
 } mesh_file;
 

@@ -142,6 +142,11 @@ static kg_status header_property(ply *p)
     return kg_fail(s->error, KG_ERR_UNSUPPORTED, s->path, s->line, 0,
                    "faces whose number of corners is a %s are not read in binary", q->length->name);
   }
+  for (const property *o = e->properties; q->role == COORDINATE && o < q; o++) {
+    if (o->role == COORDINATE && scan_is(s, o->name)) {
+      return scan_fail(s, "\"%s\" is given twice", o->name);
+    }
+  }
   if (q->role != OTHER) memcpy(q->name, s->word, s->length); /* the longest has 14 letters */
   return KG_OK;
 }

@@ -3,9 +3,11 @@
 
 #include "sdf/scan.h"
 
+#include <float.h>
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 /* ---- the plain copy ----------------------------------------------------------------------------*/
@@ -55,9 +57,20 @@ static const char *const obj_others[] = {
   "sp",        "end",    "con",    "bevel", "c_interp", "d_interp", "lod",  "shadow_obj",
   "trace_obj", "ctech",  "stech",  "call",  "csh"};
 
+/* v is a corner of a face that is neither of the two met before; first[]: those, or 0 */
+static bool is_third(long long first[2], long long v)
+{
+  if (first[0] == 0) first[0] = v;
+  if (v == first[0]) return false;
+  if (first[1] == 0) first[1] = v;
+  return v != first[1];
+}
+
 static kg_status obj_face(scan *s, mesh_file *file, long long seen)
 {
   int corners = 0;
+  long long first[2] = {0, 0};
+  bool is_face = false;
   put_text(file, "f");
   while (scan_word(s)) {
     long long index;
@@ -70,11 +83,13 @@ static kg_status obj_face(scan *s, mesh_file *file, long long seen)
                        index < 0 ? seen : file->vertices, index < 0 ? " back from here" : "");
     }
     put(file, s->word, length, false);
+    is_face = is_third(first, index < 0 ? seen + 1 + index : index) || is_face;
     corners++;
   }
   if (corners < 3) return scan_fail(s, "a face needs three corners, found %d", corners);
   put_text(file, "\n");
-  file->faces++;
+  file->faces += is_face;
+  file->collapsed += !is_face;
   return KG_OK;
 }
 
@@ -223,22 +238,37 @@ static uint32_t little_endian(const char *bytes)
   return value;
 }
 
+/* OpenMesh puts corners together whose coordinates differ by FLT_MIN at most. */
+static bool is_collapsed(const float *p)
+{
+  for (int k = 0; k < 3; k++) {
+    const float *a = p + 3 * k, *b = p + 3 * ((k + 1) % 3);
+    if (fabsf(a[0] - b[0]) <= FLT_MIN && fabsf(a[1] - b[1]) <= FLT_MIN &&
+        fabsf(a[2] - b[2]) <= FLT_MIN) {
+      return true;
+    }
+  }
+  return false;
+}
+
 static kg_status stl_binary(mesh_file *file, kg_error *error)
 {
   file->binary = true;
   for (long long i = 0; i < file->faces; i++) {
+    float corners[9];
     const size_t begin = STL_HEADER + (size_t)i * STL_FACET + STL_CORNERS;
     for (size_t k = 0; k < 9; k++) {
       const uint32_t bits = little_endian(file->content + begin + 4 * k);
-      float value;
-      memcpy(&value, &bits, sizeof value);
-      if (!(fabsf(value) < 1e18f)) {
+      memcpy(&corners[k], &bits, sizeof bits);
+      if (!(fabsf(corners[k]) < 1e18f)) {
         return kg_fail(error, KG_ERR_FORMAT, file->path, 0, 0,
                        "byte %zu: a corner of triangle %lld is not a usable point: %g",
-                       begin + 4 * k, i + 1, (double)value);
+                       begin + 4 * k, i + 1, (double)corners[k]);
       }
     }
+    file->collapsed += is_collapsed(corners);
   }
+  file->faces -= file->collapsed;
   return KG_OK;
 }
 
@@ -252,20 +282,36 @@ static kg_status stl_line(scan *s, const char *first, const char *second, bool e
   return KG_OK;
 }
 
+/* The coordinates of a vertex as they were put at `from` in the copy. */
+static void take_corner(const mesh_file *file, size_t from, float *p)
+{
+  const char *at = file->plain + from;
+  for (int i = 0; i < 3; i++) {
+    char *end;
+    p[i] = strtof(at, &end);
+    at = end;
+  }
+}
+
 static kg_status stl_facet(scan *s, mesh_file *file)
 {
+  float corners[9] = {0};
   kg_status status = stl_line(s, "facet", "normal", false);
   if (status == KG_OK) status = stl_line(s, "outer", "loop", !filled_line(s));
   put_text(file, "facet normal 0 0 1\nouter loop\n");
   for (int k = 0; k < 3 && status == KG_OK; k++) {
     status = stl_line(s, "vertex", NULL, !filled_line(s));
     put_text(file, "vertex");
+    const size_t from = file->plain_size;
     if (status == KG_OK) status = vertex(s, file, false);
+    if (status == KG_OK) take_corner(file, from, corners + 3 * k);
   }
   put_text(file, "endloop\nendfacet\n");
   if (status == KG_OK) status = stl_line(s, "endloop", NULL, !filled_line(s));
   if (status == KG_OK) status = stl_line(s, "endfacet", NULL, !filled_line(s));
-  file->faces++;
+  const bool collapsed = is_collapsed(corners);
+  file->faces += !collapsed;
+  file->collapsed += collapsed;
   return status;
 }
 

@@ -270,7 +270,10 @@ void compare(const char *what, long long expected, size_t found)
 void read_soup(soup_importer &soup, const mesh_file &file, const std::string &content,
                const std::string &extension)
 {
-  if (file.faces == 0) throw refusal{KG_ERR_FORMAT, "the file holds no faces"};
+  if (file.faces == 0) {
+    throw refusal{KG_ERR_FORMAT, file.collapsed > 0 ? "no face has three different corners"
+                                                    : "the file holds no faces"};
+  }
   omerr().disable();
   omlog().disable();
   omout().disable();
@@ -285,9 +288,12 @@ void read_soup(soup_importer &soup, const mesh_file &file, const std::string &co
   compare("faces", file.faces, soup.face_end.size());
 }
 
-/* what was met while cutting polygons */
+/* what was met while reading and cutting polygons */
 struct odd_polygons {
-  int bent = 0, tangled = 0;
+  explicit odd_polygons(long long left_out) : collapsed(int(std::min(left_out, 1LL * INT_MAX)))
+  {
+  }
+  int collapsed, bent = 0, tangled = 0;
   double most_bent = 0.0;
   kg_vec3 bent_at{}, tangled_at{};
 
@@ -304,6 +310,11 @@ struct odd_polygons {
 
   void describe(kg_mesh_report *report) const
   {
+    report->degenerate += collapsed;
+    if (collapsed > 0) {
+      report_say(report, "%d faces with fewer than three different corners were left out\n",
+                 collapsed);
+    }
     report->bent = bent;
     report->tangled = tangled;
     if (bent > 0) {
@@ -349,13 +360,13 @@ std::vector<int> cut_polygons(const soup_importer &soup, odd_polygons &odd)
   return triangles;
 }
 
-kg_status build(kg_mesh **mesh, soup_importer &soup, const char *path, double unit_m,
+kg_status build(kg_mesh **mesh, soup_importer &soup, const mesh_file &file, double unit_m,
                 kg_mesh_report *report, const kg_allocator *allocator, kg_error *error)
 {
   for (kg_vec3 &p : soup.vertices) {
     p = kg_vec3_scale(unit_m, p);
   }
-  odd_polygons odd;
+  odd_polygons odd(file.collapsed);
   const std::vector<int> triangles = cut_polygons(soup, odd);
   if (triangles.size() / 3 > size_t(INT_MAX / 4)) {
     throw refusal{KG_ERR_UNSUPPORTED, "the mesh has too many triangles"};
@@ -366,7 +377,7 @@ kg_status build(kg_mesh **mesh, soup_importer &soup, const char *path, double un
     int(triangles.size() / 3), report != nullptr, report ? report : &unused, allocator, error);
   if (status == KG_OK && report) odd.describe(report);
   if (status != KG_OK && error) { /* the builder does not know the file */
-    std::snprintf(error->path, sizeof error->path, "%s", path);
+    std::snprintf(error->path, sizeof error->path, "%s", file.path);
   }
   return status;
 }
@@ -390,7 +401,7 @@ kg_status read(kg_mesh **mesh, const char *path, double unit_m, kg_mesh_report *
   if (status != KG_OK) return status;
   soup_importer soup(std::min(content.size(), size_t(INT_MAX / 4)));
   read_soup(soup, file, content, extension);
-  return build(mesh, soup, path, unit_m, report, allocator, error);
+  return build(mesh, soup, file, unit_m, report, allocator, error);
 }
 
 } // namespace

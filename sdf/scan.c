@@ -10,11 +10,14 @@
 
 scan scan_of(const char *path, const char *content, size_t size, kg_error *error)
 {
+  static const char mark[] = "\xef\xbb\xbf"; /* of the order of bytes; some editors write it */
+  const bool marked = size >= 3 && memcmp(content, mark, 3) == 0;
+  const char *begin = content + (marked ? 3 : 0);
   return (scan){.path = path,
-                .at = content,
+                .at = begin,
                 .end = content + size,
-                .line_begin = content,
-                .word = content,
+                .line_begin = begin,
+                .word = begin,
                 .error = error};
 }
 

@@ -145,6 +145,8 @@ static void bad_lines_are_named(void **state)
      "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nelement face 1\n"
      "property list uchar int vertex_indices\nend_header\n",
      8, 1, "x, y and z"},
+    {"m2.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float x\n", 5,
+     16, "\"x\" is given twice"},
     {"n.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty int x\n", 4, 14, "does not fit"},
     {"o.ply", "ply\nformat ascii 2.0\n", 2, 14, "version 1.0"},
     {"p.ply", "ply\nformat ascii 1.0\nelement face 3\n", 3, 9, "expected vertex, then face"},
@@ -258,6 +260,60 @@ static void odd_polygons_are_told(void **state)
   assert_non_null(strstr(report.text, "tangled: the outlines of 1 polygons"));
 }
 
+/* Faces whose corners coincide, as exporters leave them, are dropped and counted in every format. */
+static void collapsed_faces_are_left_out(void **state)
+{
+  (void)state;
+  const struct {
+    const char *name, *text;
+  } cases[] = {
+    {"collapsed.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 1 2\nf 1 2 3\nf -3 1 -2 2\nf 1 2 2 3 1\n"},
+    {"collapsed.off", "OFF\n3 3 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 0 1\n3 1 2 1\n"},
+    {"collapsed.ply",
+     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+     "property float z\nelement face 3\nproperty list uchar int vertex_index\n"
+     "end_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n3 0 0 1\n3 1 2 1\n"},
+    {"collapsed.stl",
+     "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\n"
+     "endfacet\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 0 0 0\nvertex 0 1 0\n"
+     "endloop\nendfacet\nfacet normal 0 0 1\nouter loop\nvertex 1 0 0\nvertex 0 1 0\n"
+     "vertex 1.00000001 0 0\nendloop\nendfacet\nendsolid\n"}};
+  kg_mesh_report report;
+  for (size_t i = 0; i < KG_COUNT_OF(cases); i++) {
+    kg_mesh_destroy(read_text(cases[i].name, cases[i].text, &report));
+    assert_int_equal(report.degenerate, 2);
+    assert_non_null(strstr(report.text, i == 0 || i == 3 ? "2 faces with fewer than three different"
+                                                         : "2 triangles without area"));
+  }
+  char bytes[84 + 100] = {0}, path[1024];
+  const float corners[2][9] = {{0, 0, 0, 1, 0, 0, 0, 1, 0}, {0, 0, 0, 1, 0, 0, 1, 0, 0}};
+  bytes[80] = 2;
+  for (int i = 0; i < 2; i++) {
+    memcpy(bytes + 84 + 50 * i + 12, corners[i], sizeof corners[i]);
+  }
+  write_file(path, "collapsed.stl", bytes, sizeof bytes);
+  kg_mesh *mesh;
+  kg_error error = {0};
+  assert_int_equal(kg_mesh_read(&mesh, path, 1.0, &report, NULL, &error), KG_OK);
+  assert_int_equal(report.triangles, 1);
+  assert_int_equal(report.degenerate, 1);
+  kg_mesh_destroy(mesh);
+  remove(path);
+}
+
+/* Editors of some systems put a byte order mark in front of a text. */
+static void byte_order_marks_are_skipped(void **state)
+{
+  (void)state;
+  kg_mesh_report report;
+  kg_mesh_destroy(
+    read_text("mark.obj", "\xef\xbb\xbfv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", &report));
+  assert_int_equal(report.triangles, 1);
+  kg_mesh_destroy(
+    read_text("mark.off", "\xef\xbb\xbfOFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", &report));
+  assert_int_equal(report.triangles, 1);
+}
+
 /* ---- triangles that cut each other ---------------------------------------------------------------*/
 
 static void append_box(char *text, size_t room, double lo, double hi, int first)
@@ -343,6 +399,8 @@ int main(void)
     cmocka_unit_test(concave_polygons_are_cut_inside),
     cmocka_unit_test(long_polygons_are_cut),
     cmocka_unit_test(odd_polygons_are_told),
+    cmocka_unit_test(collapsed_faces_are_left_out),
+    cmocka_unit_test(byte_order_marks_are_skipped),
     cmocka_unit_test(crossing_triangles_are_told),
     cmocka_unit_test(crossings_are_all_found),
   };
