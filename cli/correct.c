@@ -87,13 +87,11 @@ static int check_values(const correct_values *values)
   return CLI_GOOD;
 }
 
-/* The clip itself may be replaced by its correction; nothing else that is read may be. skeleton:
- * the file that was found by name, "" before it was looked for. */
-static int check_overwriting(const correct_values *values, const char *clip, const char *skeleton)
+/* The clip itself may be replaced by its correction; nothing else that is read may be. */
+static int check_overwriting(const correct_values *values, const char *clip)
 {
-  enum { CLIP, SKELETON, ASF, MAP, OTHER, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_PATHS };
-  const char *inputs[MOST] = {clip, skeleton, values->reading.asf, values->reading.map,
-                              values->with};
+  enum { CLIP, ASF, MAP, OTHER, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_PATHS };
+  const char *inputs[MOST] = {clip, values->reading.asf, values->reading.map, values->with};
   const int count = FIRST_MESH + values->scene.count;
   for (int i = 0; i < values->scene.count; i++) {
     inputs[FIRST_MESH + i] = values->scene.path[i];
@@ -101,6 +99,22 @@ static int check_overwriting(const correct_values *values, const char *clip, con
   const bool overwrites = cli_is_input("--json", values->json, inputs, count) ||
                           cli_is_input("--forces", values->forces, inputs, count) ||
                           cli_is_input("--output", values->output, inputs + 1, count - 1);
+  return overwrites ? CLI_USAGE : CLI_GOOD;
+}
+
+/* nor what was found by name, or in a description of a scene */
+static int check_overwriting_found(const correction *c)
+{
+  enum { SKELETON, OTHER_SKELETON, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_MESHES };
+  const char *inputs[MOST] = {c->clip->source.skeleton_path,
+                              c->other_clip ? c->other_clip->source.skeleton_path : NULL};
+  const int count = FIRST_MESH + c->scene.mesh_count;
+  for (int i = 0; i < c->scene.mesh_count; i++) {
+    inputs[FIRST_MESH + i] = c->scene.mesh_paths[i];
+  }
+  const bool overwrites = cli_is_input("--json", c->values->json, inputs, count) ||
+                          cli_is_input("--forces", c->values->forces, inputs, count) ||
+                          cli_is_input("--output", c->values->output, inputs, count);
   return overwrites ? CLI_USAGE : CLI_GOOD;
 }
 
@@ -170,13 +184,13 @@ static int read_inputs(correction *c, const char *path)
   const correct_values *values = c->values;
   int code = cli_read_clip(&c->clip, path, &values->reading, values->talk.quiet);
   if (code == CLI_GOOD) {
-    code = check_overwriting(values, path, c->clip->source.skeleton_path);
-  }
-  if (code == CLI_GOOD) {
     code = read_scene(c);
   }
   if (code == CLI_GOOD && values->with) {
     code = read_other(c);
+  }
+  if (code == CLI_GOOD) {
+    code = check_overwriting_found(c);
   }
   if (code == CLI_GOOD) {
     code = create_subject(c);
@@ -595,7 +609,7 @@ static int run(const void *values, const cli_operands *operands, FILE *out)
   kg_arena_init(&c.arena, NULL);
   int code = check_values(values);
   if (code == CLI_GOOD) {
-    code = check_overwriting(values, operands->at[0], "");
+    code = check_overwriting(values, operands->at[0]);
   }
   if (code == CLI_GOOD) {
     code = open_outputs(&c);

@@ -173,6 +173,16 @@ static bool read_vector(file *f, node of, const char *key, bool needed, double l
   return true;
 }
 
+/* Text of the file for a message of one line. */
+static void copy_printable(char *out, size_t room, const char *text)
+{
+  size_t n = 0;
+  for (; n + 1 < room && text[n]; n++) {
+    out[n] = (char)(text[n] >= ' ' && text[n] <= '~' ? text[n] : '?');
+  }
+  out[n] = '\0';
+}
+
 /* Every member is one of names[count]. */
 static bool check_members(file *f, node of, const char *const *names, int count)
 {
@@ -186,8 +196,9 @@ static bool check_members(file *f, node of, const char *const *names, int count)
     }
     if (known) continue;
     const char *nearest = cli_nearest(key, names, count);
-    char text[256];
-    snprintf(text, sizeof text, "unknown member \"%.60s\"%s%s%s", key,
+    char text[256], name[64];
+    copy_printable(name, sizeof name, key);
+    snprintf(text, sizeof text, "unknown member \"%s\"%s%s%s", name,
              nearest ? "; did you mean \"" : "", nearest ? nearest : "", nearest ? "\"?" : "");
     return fail(f, find_member(of.text, key, false), text);
   }
@@ -254,21 +265,18 @@ static bool read_rotation(file *f, node of, kg_quat *out)
   return true;
 }
 
-static bool read_mesh(file *f, node of, kg_sdf_shape *shape)
+/* A mesh by the path as it is opened. */
+static bool load_mesh(file *f, const char *path, double unit, kg_sdf_shape *shape)
 {
-  const char *name = json_string_value(json_object_get(of.json, "file"));
-  if (!name || !*name) return fail_at(f, of, "file", "the name of a mesh file");
-  double unit = f->unit_m;
-  if (!read_number(f, of, "unit_m", false, 1e-6, 1000.0, &unit)) return false;
-  char path[2048];
-  const char *slash = strrchr(f->path, '/');
-  const int folder = slash && *name != '/' ? (int)(slash - f->path) + 1 : 0;
-  snprintf(path, sizeof path, "%.*s%s", folder, f->path, name);
   cli_scene *s = f->scene;
-  if (s->mesh_count >= CLI_MAX_MESHES) return fail(f, of.text, "more than 64 meshes");
   kg_mesh_report report = {0};
   kg_error error = {0};
-  if (kg_mesh_read(&s->meshes[s->mesh_count], path, unit, &report, NULL, &error) != KG_OK) {
+  char *copy = strdup(path);
+  const kg_status status =
+    copy ? kg_mesh_read(&s->meshes[s->mesh_count], path, unit, &report, NULL, &error)
+         : kg_fail(&error, KG_ERR_NO_MEMORY, path, 0, 0, "no memory for the mesh");
+  if (status != KG_OK) {
+    free(copy);
     f->code = cli_failed(&error);
     return false;
   }
@@ -277,8 +285,25 @@ static bool read_mesh(file *f, node of, kg_sdf_shape *shape)
     cli_warning(f->is_quiet, "%s: %.*s", path, length, line);
     line += length + (line[length] == '\n');
   }
+  s->mesh_paths[s->mesh_count] = copy;
   shape->mesh = s->meshes[s->mesh_count++];
   return true;
+}
+
+static bool read_mesh(file *f, node of, kg_sdf_shape *shape)
+{
+  const char *name = json_string_value(json_object_get(of.json, "file"));
+  if (!name || !*name) return fail_at(f, of, "file", "the name of a mesh file");
+  double unit = f->unit_m;
+  if (!read_number(f, of, "unit_m", false, 1e-6, 1000.0, &unit)) return false;
+  if (f->scene->mesh_count >= CLI_MAX_MESHES) return fail(f, of.text, "more than 64 meshes");
+  char path[2048];
+  const char *slash = strrchr(f->path, '/');
+  const int folder = slash && *name != '/' ? (int)(slash - f->path) + 1 : 0;
+  if (snprintf(path, sizeof path, "%.*s%s", folder, f->path, name) >= (int)sizeof path) {
+    return fail_at(f, of, "file", "a shorter name");
+  }
+  return load_mesh(f, path, unit, shape);
 }
 
 /* A shape around its own middle, which is `at`; `turn` is for what has no orientation of its own. */
@@ -466,7 +491,12 @@ static char *read_text(file *f)
     free(text);
     return NULL;
   }
-  text[length] = '\0';
+  for (size_t k = 0; k < length; k++) { /* the parser would take the first for the end */
+    text[k] = (char)(text[k] == '\0' ? '\x01' : text[k]);
+  }
+  const size_t mark = length >= 3 && memcmp(text, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
+  memmove(text, text + mark, length - mark); /* of the order of bytes; some editors write it */
+  text[length - mark] = '\0';
   return text;
 }
 
@@ -477,7 +507,9 @@ static int read_description(file *f)
   f->root = json_loads(f->text, JSON_REJECT_DUPLICATES | JSON_DECODE_ANY, &at);
   if (!f->root) {
     kg_error error = {0};
-    (void)kg_fail(&error, KG_ERR_FORMAT, f->path, at.line, at.column, "not JSON: %s", at.text);
+    char text[sizeof at.text];
+    copy_printable(text, sizeof text, at.text);
+    (void)kg_fail(&error, KG_ERR_FORMAT, f->path, at.line, at.column, "not JSON: %s", text);
     f->code = cli_failed(&error);
   } else if (!read_root(f) && f->code == CLI_GOOD) {
     f->code = CLI_INPUT; /* not reached: every failure has told itself */
@@ -498,11 +530,7 @@ int cli_scene_add(cli_scene *scene, const char *path, double unit_m, bool is_qui
   file f = {.path = path, .scene = scene, .unit_m = unit_m, .is_quiet = is_quiet};
   if (is_description(path)) return read_description(&f);
   kg_sdf_shape shape = {.kind = KG_SHAPE_MESH};
-  f.root = json_pack("{s:s}", "file", path);
-  f.path = ""; /* relative to where the command runs */
-  const bool good = read_mesh(&f, (node){f.root, ""}, &shape);
-  json_decref(f.root);
-  if (!good) return f.code;
+  if (!load_mesh(&f, path, unit_m, &shape)) return f.code;
   if (!kg_scene_add(&scene->scene, &shape)) {
     cli_message("%s: the scene has more than %d shapes", path, KG_SCENE_MAX_SHAPES);
     return CLI_INPUT;
@@ -514,5 +542,6 @@ void cli_scene_release(cli_scene *scene)
 {
   for (int i = 0; i < scene->mesh_count; i++) {
     kg_mesh_destroy(scene->meshes[i]);
+    free(scene->mesh_paths[i]);
   }
 }

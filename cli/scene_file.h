@@ -12,6 +12,7 @@ typedef struct cli_scene {
   kg_ground floor;
   int mesh_count;
   kg_mesh *meshes[CLI_MAX_MESHES];
+  char *mesh_paths[CLI_MAX_MESHES]; /* where they were read */
 } cli_scene;
 
 /* Adds a file: a description when its name ends in .json, a mesh in units of unit_m metres otherwise.

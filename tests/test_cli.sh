@@ -406,6 +406,26 @@ printf '{"shapes": [{"type": "mesh", "file": "nowhere.obj"}]}' >wrong.json
 run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
 says "nowhere.obj"
 run 2 correct "$data/walker.bvh" -o out/x.bvh --scene gym.json --json gym.json
+# nor the meshes of a description
+cp pit.obj pit_kept.obj
+for option in --json --forces; do
+  run 2 correct "$data/walker.bvh" -o out/x.bvh --scene gym.json $option pit.obj
+  says "pit.obj' is read by this run"
+done
+claim "the mesh is as it was" cmp pit.obj pit_kept.obj
+# a name that is no UTF-8, a byte order mark, a byte 0, letters that a terminal obeys
+odd_name=$(printf 'odd\377.obj')
+run 3 correct "$data/walker.bvh" -o out/x.bvh --scene "$odd_name"
+says "obj: the mesh file cannot be read"
+printf '\357\273\277{"shapes": 3}' >wrong.json
+run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
+says "wrong.json:1:12: \"shapes\": expected an array"
+printf '{}\000{' >wrong.json
+run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
+says "wrong.json:1:3: not JSON"
+printf '{"a\\u001b[2J\\nb": 1}' >wrong.json
+run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
+says 'unknown member "a\?\[2J\?b"'
 
 # ---- another athlete -----------------------------------------------------------------------------
 
