@@ -67,13 +67,15 @@ static kg_scene_point find_strongest(const kg_contact_params *params, const kg_s
     }
     const double force = kg_contact_normal(params, ground, value.distance, 0.0).force;
     const double way = value.distance - reach;
-    if (!(force > most || (most == 0.0 && way < least))) continue;
+    const bool is_undefined = isnan(way); /* not taken for far away */
+    if (!(force > most || (most == 0.0 && way < least) || is_undefined)) continue;
     most = force;
     least = fmin(least, way);
     best = (kg_scene_point){.value = value, .shape = i, .ground = ground};
     if (shape->place > 0) {
       best.velocity = kg_place_velocity(&scene->places[shape->place - 1], x);
     }
+    if (is_undefined) break;
   }
   return best;
 }

@@ -52,14 +52,14 @@ kg_sdf_value kg_soft_distance(const kg_scene *scene, kg_vec3 x)
 {
   if (scene->ground_count == 0) return kg_scene_distance(scene, x);
   kg_sdf_value best = {INFINITY, {0.0, 1.0, 0.0}, {0.0}};
-  for (int i = 0; i < scene->shape_count; i++) {
+  for (int i = 0; i < scene->shape_count && !isnan(best.distance); i++) {
     const kg_sdf_shape *shape = &scene->shapes[i];
     const double soft = shape->ground > 0 ? scene->grounds[shape->ground - 1].thickness : 0.0;
     kg_sdf_value value;
     if (shape->part || !kg_scene_shape_distance(scene, i, x, best.distance + soft, &value))
       continue;
     value.distance -= soft;
-    if (value.distance < best.distance) best = value;
+    if (!(value.distance >= best.distance)) best = value; /* NaN is not far away */
   }
   return best;
 }

@@ -49,10 +49,9 @@ static double reach_of(const kg_scene *scene, const kg_sdf_shape *s)
     reach = fmax(a, b) + s->radius;
   } else if (is_combination(s)) {
     reach = 0.0;
-    for (int k = 0; k < 2; k++) {
+    for (int k = 0; k < 2; k++) { /* a place of its own may be moved */
       const kg_sdf_shape *child = &scene->shapes[s->children[k]];
-      const double out = child->place ? kg_vec3_norm(scene->places[child->place - 1].at) : 0.0;
-      reach = fmax(reach, out + reach_of(scene, child));
+      reach = fmax(reach, child->place ? INFINITY : reach_of(scene, child));
     }
     reach += s->kind == KG_SHAPE_SMOOTH_UNION ? s->radius : 0.0;
   }
@@ -176,7 +175,7 @@ static kg_sdf_value negated(kg_sdf_value v)
   return v;
 }
 
-/* docs/theory/sdf.md (28): (A + B)/2 + psi(|A - B|), psi(s) = -s/2 - r/6 (1 - s/r)^3, for s < r */
+/* docs/theory/sdf.md (31): (A + B)/2 + psi(|A - B|), psi(s) = -s/2 - r/6 (1 - s/r)^3, for s < r */
 static kg_sdf_value blend(const kg_sdf_value *a, const kg_sdf_value *b, double r)
 {
   const double d = a->distance - b->distance, left = 1.0 - fabs(d) / r;
@@ -282,7 +281,7 @@ static int find_nearest(const kg_scene *scene, kg_vec3 x, kg_sdf_value *best)
 {
   int nearest = -1;
   *best = (kg_sdf_value){INFINITY, {0.0, 1.0, 0.0}, {0.0}}; /* an empty scene is infinitely far */
-  for (int i = 0; i < scene->shape_count; i++) {
+  for (int i = 0; i < scene->shape_count && !isnan(best->distance); i++) {
     const kg_sdf_shape *shape = &scene->shapes[i];
     kg_sdf_value value;
     if (shape->part || !shape_value(scene, shape, x, best->distance, &value)) continue;
@@ -352,7 +351,7 @@ double kg_scene_surface(const kg_scene *scene, kg_vec3 x)
 {
   if (scene->ground_count == 0) return kg_scene_distance(scene, x).distance;
   double least = INFINITY;
-  for (int i = 0; i < scene->shape_count; i++) {
+  for (int i = 0; i < scene->shape_count && !isnan(least); i++) {
     const kg_sdf_shape *shape = &scene->shapes[i];
     const double soft = shape->ground > 0 ? scene->grounds[shape->ground - 1].thickness : 0.0;
     kg_sdf_value value;

@@ -497,6 +497,22 @@ static void laws_without_a_meaning_are_not_valid(void **state)
   }
 }
 
+/* Soft ground is no way out for a point that is nowhere: as on hard ground its force is no number. */
+static void a_point_that_is_nowhere_has_no_force(void **state)
+{
+  (void)state;
+  const kg_contact_params law = kg_contact_default_params();
+  const kg_ground soft = {0.02, 1e4, 0.5, -1.0};
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  for (int k = 0; k < 2; k++) {
+    kg_contact_force force;
+    assert_true(kg_contact_evaluate(&law, &scene, kg_vec3_make(NAN, NAN, 0.0),
+                                    kg_vec3_make(0.0, 0.0, 0.0), false, &force));
+    assert_true(isnan(force.distance) && isnan(force.f.y));
+    scene.shapes[0].ground = kg_scene_add_ground(&scene, &soft);
+  }
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -514,6 +530,7 @@ int main(void)
     cmocka_unit_test(on_a_mat_upon_a_floor_the_harder_law_acts),
     cmocka_unit_test(zero_slip_divides_by_nothing),
     cmocka_unit_test(laws_without_a_meaning_are_not_valid),
+    cmocka_unit_test(a_point_that_is_nowhere_has_no_force),
   };
   return cmocka_run_group_tests_name("contact", tests, NULL, NULL);
 }

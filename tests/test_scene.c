@@ -482,6 +482,50 @@ static void a_full_scene_refuses(void **state)
   assert_true(kg_ground_is_valid(&ground));
 }
 
+/* The ball around a combination must hold a part that has moved since it was added. */
+static void parts_that_move_are_found(void **state)
+{
+  (void)state;
+  kg_scene scene = {0};
+  const kg_place rest = {.turn = {1.0, 0.0, 0.0, 0.0}};
+  const kg_vec3 zero = {0.0, 0.0, 0.0};
+  const int whole = kg_scene_add_place(&scene, &rest), own = kg_scene_add_place(&scene, &rest);
+  const kg_sdf_shape shapes[] = {
+    {.kind = KG_SHAPE_SPHERE, .a = {6.5, 0.0, 0.0}, .radius = 0.5},
+    {.kind = KG_SHAPE_SPHERE, .radius = 0.2, .place = own},
+    {.kind = KG_SHAPE_SPHERE, .radius = 0.1},
+    {.kind = KG_SHAPE_UNION, .children = {1, 2}, .place = whole},
+  };
+  for (size_t k = 0; k < KG_COUNT_OF(shapes); k++) {
+    assert_true(kg_scene_add(&scene, &shapes[k]));
+  }
+  kg_scene_move(&scene, own, kg_vec3_make(5.0, 0.0, 0.0), kg_quat_identity(), zero, zero);
+  const kg_vec3 x = {5.1, 0.0, 0.0};
+  kg_sdf_value v;
+  assert_true(kg_scene_shape_distance(&scene, 3, x, 0.5, &v));
+  assert_close(v.distance, -0.1, 1e-14);
+  assert_close(kg_scene_distance(&scene, x).distance, -0.1, 1e-14);
+}
+
+/* A shape that is nowhere is not far away, whichever comes first. */
+static void what_is_not_a_number_is_not_far_away(void **state)
+{
+  (void)state;
+  const kg_sdf_shape shapes[2] = {
+    {.kind = KG_SHAPE_SPHERE, .a = {NAN, 0.0, 0.0}, .radius = 1.0},
+    {.kind = KG_SHAPE_SPHERE, .radius = 1.0},
+  };
+  const kg_ground soft = {0.02, 1e4, 0.5, -1.0};
+  const kg_vec3 x = {0.0, 3.0, 0.0};
+  for (int k = 0; k < 2; k++) {
+    kg_scene scene = {0};
+    assert_true(kg_scene_add(&scene, &shapes[k]) && kg_scene_add(&scene, &shapes[1 - k]));
+    assert_true(isnan(kg_scene_distance(&scene, x).distance));
+    assert_int_equal(kg_scene_add_ground(&scene, &soft), 1);
+    assert_true(isnan(kg_scene_surface(&scene, x)));
+  }
+}
+
 int main(void)
 {
   const struct CMUnitTest tests[] = {
@@ -496,6 +540,8 @@ int main(void)
     cmocka_unit_test(hints_change_nothing),
     cmocka_unit_test(an_offset_rounds),
     cmocka_unit_test(a_full_scene_refuses),
+    cmocka_unit_test(parts_that_move_are_found),
+    cmocka_unit_test(what_is_not_a_number_is_not_far_away),
   };
   return cmocka_run_group_tests_name("scene", tests, NULL, NULL);
 }

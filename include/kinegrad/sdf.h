@@ -99,7 +99,7 @@ static inline kg_vec3 kg_place_velocity(const kg_place *place, kg_vec3 x)
 /* What covers the rigid shape: a mat, turf. The shape is the rigid core, Phi is measured from it,
  * and the soft layer reaches to Phi = thickness. docs/theory/contact.md has the law. */
 typedef struct kg_ground {
-  double thickness; /* m; 0: hard                                                    */
+  double thickness; /* m; with 0 and no stiffness the ground is hard                 */
   double stiffness; /* N/m of a sample point pressed into the layer                  */
   double damping;   /* s/m; share of extra force per approach speed, of the layer    */
   double friction;  /* Coulomb coefficient; negative: that of the contact law        */
