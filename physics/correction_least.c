@@ -283,11 +283,13 @@ double correction_polish(kg_correction *c, int *iterations)
 {
   double least = INFINITY;
   correction_go_to(c, c->D);
+  const bool was_free = c->d_pen <= c->def.tolerance;
   memcpy(c->D_best, c->D, (size_t)c->nv * sizeof *c->D);
   for (int step = 0; step <= POLISH_STEPS; step++) {
     linearise(c);
     const double residual = step == 0 ? INFINITY : kkt_residual(c);
-    if (residual < least) {
+    const bool is_free = c->d_pen <= c->def.tolerance;
+    if (residual < least && (is_free || !was_free)) {
       least = residual;
       memcpy(c->D_best, c->D, (size_t)c->nv * sizeof *c->D);
     }

@@ -18,6 +18,8 @@
 #define LEAST_MULTIPLIER 1e-9
 /* A row counts as a combination of others when less than this share of it is its own. */
 #define OWN_SHARE 1e-9
+/* The move is the least one when what the multipliers leave of it is below this share. */
+#define LEAST_SHARE 1e-2
 
 void correction_vjp_init(kg_correction *c, kg_arena *arena)
 {
@@ -33,10 +35,13 @@ void correction_vjp_init(kg_correction *c, kg_arena *arena)
   a->E = KG_ARENA_ARRAY(arena, kg_mat3, c->def.body->segment_count);
 }
 
-/* Multipliers by point from D alone: M D = G' lambda over what touches */
-static void find_multipliers(kg_correction *c)
+/* Multipliers by point from D alone: M D = G' lambda over what touches. False when no multipliers
+ * make D the least move. */
+static bool find_multipliers(kg_correction *c)
 {
-  const double reach = c->def.kkt_tolerance > 0.0 ? 1e-8 : c->def.tolerance;
+  /* the residual counts distances with the root of the mass */
+  const double kept = c->def.kkt_tolerance / sqrt(c->def.body->mass);
+  const double reach = c->def.kkt_tolerance > 0.0 ? fmax(1e-8, kept) : c->def.tolerance;
   double largest = 0.0;
   c->rows = 0;
   for (int k = 0; k < c->touch_count && c->rows < c->solver.rows_max; k++) {
@@ -59,6 +64,11 @@ static void find_multipliers(kg_correction *c)
     const bool carries = c->lambda[r] > LEAST_MULTIPLIER * largest;
     c->multiplier[c->point_of_row[r]] = carries ? c->lambda[r] : 0.0;
   }
+  for (int i = 0; i < c->nv; i++) {
+    c->goal[i] -= c->D[i];
+  }
+  return correction_metric(c, c->goal, c->goal) <=
+         LEAST_SHARE * LEAST_SHARE * correction_metric(c, c->D, c->D);
 }
 
 /* Whether row r is no combination of those kept: modified Gram-Schmidt in the norm of M^-1. The
@@ -169,7 +179,7 @@ static bool prepare(kg_correction *c, const double *q_before, const double *q_af
   for (int i = 0; i < body->segment_count; i++) {
     a->E[i] = kg_quat_matrix(kg_quat_exp(kg_load3(c->D + 3 + 3 * i)));
   }
-  find_multipliers(c);
+  if (!find_multipliers(c)) return false;
   correction_curvature(c, c->multiplier, c->C);
   if (!factor_system(c)) return false;
   make_gamma(c);

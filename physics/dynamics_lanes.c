@@ -226,6 +226,9 @@ void kg_dynamics_inverse_derivatives_lanes(kg_dynamics *dynamics, kg_lanes_matri
                                            const double *a)
 {
   kg_dynamics *d = dynamics;
+  KG_ASSERT(!dtau_dq || dtau_dq->dynamics->body == d->body);
+  KG_ASSERT(!dtau_dv || dtau_dv->dynamics->body == d->body);
+  KG_ASSERT(!M || M->dynamics->body == d->body);
   const kg_lanes_outputs out = {dtau_dq ? dtau_dq->low : NULL, dtau_dq ? dtau_dq->up : NULL,
                                 dtau_dv ? dtau_dv->low : NULL, dtau_dv ? dtau_dv->up : NULL,
                                 M ? M->low : NULL};

@@ -328,6 +328,111 @@ static void corrected_pose_is_differentiable(void **state)
   kg_body_destroy(body);
 }
 
+/* The derivative of a move that was followed to 1e-4 kg^1/2 m only is near that of the exact one; where
+ * the move is not the least there is none. */
+static void loose_moves_have_a_near_derivative_or_none(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  const kg_scene scene = make_scene(1, NULL);
+  kg_random random = kg_random_make(50);
+  const double tolerance[3] = {1e-11, 1e-4, 0.0};
+  static double J[3][MAX_NV * MAX_NV];
+  double worst = 0.0, size = 0.0;
+  int refused = 0;
+  for (int pose = 0; pose < 4; pose++) {
+    double before[MAX_NQ];
+    for (int k = 0; k < 3; k++) {
+      kg_correction_def def = kg_correction_default_def(body, &scene);
+      def.kkt_tolerance = tolerance[k];
+      kg_correction *c;
+      assert_int_equal(kg_correction_create(&c, &def), KG_OK);
+      if (k == 0) sunk_pose(&random, body, c, 0.3, 0.1, before);
+      double after[MAX_NQ];
+      memcpy(after, before, sizeof after);
+      assert_true(kg_correction_apply(c, after, NULL, NULL).converged);
+      J[k][0] = NAN;
+      const bool is_there = kg_correction_jacobian(c, before, after, J[k]);
+      assert_true(is_there || (k == 2 && isnan(J[k][0])));
+      refused += !is_there;
+      for (int i = 0; i < body->nv * body->nv && is_there; i++) {
+        size = fmax(size, fabs(J[0][i]));
+        worst = fmax(worst, fabs(J[k][i] - J[0][i]));
+      }
+      kg_correction_destroy(c);
+    }
+  }
+  print_message("  entries up to %.1f, worst %.1e, %d refused\n", size, worst, refused);
+  assert_at_most(worst, 1e-2);
+  assert_true(refused > 0);
+  kg_body_destroy(body);
+}
+
+/* Newton's steps to the last digit may lead astray: back inside is no answer. */
+static void exactness_costs_no_freedom(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  const kg_sdf_shape shapes[] = {
+    {.kind = KG_SHAPE_SPHERE, .a = {0.1, 0.1, 0.0}, .radius = 0.5},
+    {.kind = KG_SHAPE_CAPSULE, .a = {0.1, 0.1, 0.0}, .b = {1.0, 0.2, 0.3}, .radius = 0.2}};
+  for (size_t k = 0; k < KG_COUNT_OF(shapes); k++) {
+    assert_true(kg_scene_add(&scene, &shapes[k]));
+  }
+  kg_correction_def def = kg_correction_default_def(body, &scene);
+  def.kkt_tolerance = 1e-10;
+  kg_correction *c;
+  assert_int_equal(kg_correction_create(&c, &def), KG_OK);
+  kg_random random = kg_random_make(2);
+  int astray = 0;
+  for (int pose = 0; pose < 4; pose++) {
+    double q[MAX_NQ] = {0.0};
+    q[1] = 0.4 + 0.5 * kg_random_uniform(&random);
+    for (int i = 0; i < body->segment_count; i++) {
+      const kg_quat r = kg_quat_exp(random_vec3(&random, 0.5));
+      const double quat[4] = {r.w, r.x, r.y, r.z};
+      memcpy(q + 3 + 4 * i, quat, sizeof quat);
+    }
+    const kg_correction_report report = kg_correction_apply(c, q, NULL, NULL);
+    assert_true(report.converged);
+    astray += report.kkt_residual > def.kkt_tolerance;
+  }
+  assert_true(astray > 0); /* else nothing was tried */
+  kg_correction_destroy(c);
+  kg_body_destroy(body);
+}
+
+/* Poses before this one do not show, not even where left and right are as near to the ground. */
+static void correction_depends_on_the_pose_alone(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  const kg_scene scene = make_scene(0, NULL);
+  double start[MAX_NQ] = {0.0}, end[3][MAX_NQ];
+  for (int i = 0; i < body->segment_count; i++) {
+    start[3 + 4 * i] = 1.0;
+  }
+  for (int height = 0; height < 5; height++) {
+    start[1] = 0.15 + 0.15 * height;
+    for (int k = 0; k < 3; k++) {
+      kg_correction *c = make(body, &scene, KG_CORRECTION_SECOND_ORDER);
+      double tilted[MAX_NQ];
+      memcpy(tilted, start, sizeof tilted);
+      const kg_quat r = kg_quat_exp(kg_vec3_make(0.3 * (k - 1), 0.0, 0.3 * (k - 1)));
+      const double quat[4] = {r.w, r.x, r.y, r.z};
+      memcpy(tilted + 3, quat, sizeof quat);
+      (void)kg_penetration(c, tilted, NULL, NULL);
+      memcpy(end[k], start, sizeof start);
+      assert_true(kg_correction_apply(c, end[k], NULL, NULL).converged);
+      kg_correction_destroy(c);
+    }
+    assert_memory_equal(end[0], end[1], sizeof end[0]);
+    assert_memory_equal(end[2], end[1], sizeof end[0]);
+  }
+  kg_body_destroy(body);
+}
+
 /* ---- closed forms --------------------------------------------------------------------------------*/
 
 static void flat_box_rises_by_its_depth_and_stops(void **state)
@@ -522,6 +627,9 @@ int main(void)
     cmocka_unit_test(every_pose_comes_out_and_stays_at_the_surface),
     cmocka_unit_test(move_is_as_short_as_the_one_ceres_finds),
     cmocka_unit_test(corrected_pose_is_differentiable),
+    cmocka_unit_test(loose_moves_have_a_near_derivative_or_none),
+    cmocka_unit_test(exactness_costs_no_freedom),
+    cmocka_unit_test(correction_depends_on_the_pose_alone),
     cmocka_unit_test(flat_box_rises_by_its_depth_and_stops),
     cmocka_unit_test(velocities_lose_only_what_they_must),
     cmocka_unit_test(a_pose_outside_is_not_touched),

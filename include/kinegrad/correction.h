@@ -54,6 +54,8 @@ typedef struct kg_correction_report {
 typedef struct kg_correction kg_correction; /* one per thread */
 
 KG_API kg_correction_def kg_correction_default_def(const kg_body *body, const kg_scene *scene);
+/* The body must not change from here on: its masses, lengths and points are taken over. The scene
+ * may. KG_ERR_NO_MEMORY. */
 KG_API KG_MUST_USE kg_status kg_correction_create(kg_correction **correction,
                                                   const kg_correction_def *def);
 KG_API void kg_correction_destroy(kg_correction *correction);
@@ -77,12 +79,13 @@ KG_API double kg_correction_step(kg_correction *correction, double *q);
 /* ---- derivative of the corrected pose --------------------------------------------------------
  *
  * By the implicit function theorem at the least move, for both methods, which end there: q_after is
- * what kg_correction_apply made of q_before, with kkt_tolerance set (1e-10 say; without it the
- * derivative is that of a move which is only nearly the least). Tangent spaces at both poses.
+ * what kg_correction_apply made of q_before, with kkt_tolerance set (1e-10 say). Tangent spaces at
+ * both poses.
  * The corrected pose has a kink where a point begins or ceases to carry: there the derivative is that
  * of the side on which it does not. At the tolerance, where the correction sets in, it jumps by up
  * to the tolerance. A pose that was left as it is has the identity. False, and nothing written or
- * added, where the system has no inverse: two least moves meet. */
+ * added, where q_after is not the least move to a hundredth of its length (kkt_tolerance not set or
+ * not reached), and where the system has no inverse: two least moves meet. */
 
 /* Adds J' after_bar to before_bar; [nv] each. */
 KG_API bool kg_correction_vjp(kg_correction *correction, const double *q_before,
