@@ -1,5 +1,4 @@
-/* What a pose touches, and the derivatives of that; symbols in correction.h.
- */
+/* What a pose touches, and the derivatives of that; symbols in correction.h. */
 #include "physics/correction.h"
 
 #include <string.h>

@@ -106,11 +106,12 @@ static double squared(kg_vec3 d)
   return kg_vec3_dot(d, d);
 }
 
-/* whether a ball of this radius whose centre is d away is further than the limit */
+/* Whether a ball of this radius whose centre is d away is further than the limit, by more than
+ * rounding: what is as near as the limit must be seen, for of equals the first counts. */
 static bool ball_is_beyond(kg_vec3 d, double radius, double limit)
 {
-  const double most = limit + radius;
-  return most < 0.0 || squared(d) > most * most;
+  const double most = limit + radius, rounding = 1e-14 * (fabs(limit) + radius);
+  return most + rounding < 0.0 || squared(d) > (most + rounding) * (most + rounding);
 }
 
 /* x - closest point of the segment */
@@ -315,7 +316,7 @@ kg_sdf_value kg_scene_distance_from(const kg_scene *scene, kg_vec3 x, kg_scene_h
     best = value;
     nearest = first;
   }
-  for (int i = 0; i < scene->shape_count; i++) {
+  for (int i = 0; i < scene->shape_count && !isnan(best.distance); i++) {
     const kg_sdf_shape *shape = &scene->shapes[i];
     kg_mesh_hint own = {-1};
     if (shape->part || (known && i == first)) continue;

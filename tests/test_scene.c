@@ -482,6 +482,42 @@ static void a_full_scene_refuses(void **state)
   assert_true(kg_ground_is_valid(&ground));
 }
 
+/* Where two shapes are equally near the first counts, whatever the hint says. */
+static void of_equals_the_first_counts(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(94);
+  const kg_shape_kind kinds[] = {KG_SHAPE_SPHERE, KG_SHAPE_CAPSULE, KG_SHAPE_CYLINDER,
+                                 KG_SHAPE_ELLIPSOID};
+  int equals = 0;
+  for (int k = 0; k < 4000; k++) {
+    const double a = 0.5 + kg_random_uniform(&random),
+                 radius = 0.05 + 0.3 * kg_random_uniform(&random);
+    kg_sdf_shape left = {.kind = kinds[k % 4], .a = {-a, 0.0, 0.0}, .radius = radius};
+    left.b = k % 4 == 3 ? kg_vec3_make(radius, radius, 2.0 * radius) : kg_vec3_make(-a, 0.5, 0.0);
+    kg_sdf_shape right = left;
+    right.a.x = a;
+    right.b.x = k % 4 == 3 ? radius : a;
+    kg_scene scene = {0};
+    if (k % 8 > 3) { /* in places */
+      const kg_place place[2] = {{.at = {-2.0, 0.0, 0.0}}, {.at = {2.0, 0.0, 0.0}}};
+      left.place = kg_scene_add_place(&scene, &place[0]);
+      right.place = kg_scene_add_place(&scene, &place[1]);
+    }
+    assert_true(kg_scene_add(&scene, &left) && kg_scene_add(&scene, &right));
+    const kg_vec3 x = {0.0, 2.0 * kg_random_uniform(&random) - 1.0, kg_random_uniform(&random)};
+    const kg_sdf_value plain = kg_scene_distance(&scene, x);
+    for (int first = -1; first < 2; first++) {
+      kg_scene_hint hint = {first, {-1}};
+      const kg_sdf_value hinted = kg_scene_distance_from(&scene, x, &hint);
+      assert_memory_equal(&hinted, &plain, sizeof plain);
+    }
+    equals += plain.distance == part_distance(&scene, 0, x) &&
+              plain.distance == part_distance(&scene, 1, x);
+  }
+  assert_true(equals > 3000);
+}
+
 /* The ball around a combination must hold a part that has moved since it was added. */
 static void parts_that_move_are_found(void **state)
 {
@@ -521,6 +557,10 @@ static void what_is_not_a_number_is_not_far_away(void **state)
     kg_scene scene = {0};
     assert_true(kg_scene_add(&scene, &shapes[k]) && kg_scene_add(&scene, &shapes[1 - k]));
     assert_true(isnan(kg_scene_distance(&scene, x).distance));
+    for (int first = -1; first < 2; first++) {
+      kg_scene_hint hint = {first, {-1}};
+      assert_true(isnan(kg_scene_distance_from(&scene, x, &hint).distance));
+    }
     assert_int_equal(kg_scene_add_ground(&scene, &soft), 1);
     assert_true(isnan(kg_scene_surface(&scene, x)));
   }
@@ -540,6 +580,7 @@ int main(void)
     cmocka_unit_test(hints_change_nothing),
     cmocka_unit_test(an_offset_rounds),
     cmocka_unit_test(a_full_scene_refuses),
+    cmocka_unit_test(of_equals_the_first_counts),
     cmocka_unit_test(parts_that_move_are_found),
     cmocka_unit_test(what_is_not_a_number_is_not_far_away),
   };
