@@ -1,6 +1,8 @@
 /* Growing arrays of a graph, and the choice of kernels for the processor. */
 #include "autodiff/graph.h"
 
+#include "base/processor.h"
+
 #include <stdlib.h>
 #include <string.h>
 
@@ -95,14 +97,9 @@ const kg_kernel *kg_kernels_for(kg_arithmetic arithmetic, int simd)
   if (arithmetic == KG_C64) return kg_kernels_c64_base;
   const bool f64 = arithmetic == KG_F64;
 #ifdef KG_DISPATCH
-  __builtin_cpu_init();
-  const bool v3 = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
-                  __builtin_cpu_supports("bmi2");
-  const bool v4 = v3 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
-                  __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl") &&
-                  __builtin_cpu_supports("avx512cd");
-  if (v4 && simd >= 3) return f64 ? kg_kernels_f64_v4 : kg_kernels_f32_v4;
-  if (v3 && simd >= 2) return f64 ? kg_kernels_f64_v3 : kg_kernels_f32_v3;
+  const int level = simd < kg_processor_level() ? simd : kg_processor_level();
+  if (level >= 3) return f64 ? kg_kernels_f64_v4 : kg_kernels_f32_v4;
+  if (level == 2) return f64 ? kg_kernels_f64_v3 : kg_kernels_f32_v3;
 #endif
   (void)simd;
   return f64 ? kg_kernels_f64_base : kg_kernels_f32_base;

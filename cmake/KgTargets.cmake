@@ -20,3 +20,20 @@ function(kg_set_options target)
     target_link_options(${target} PUBLIC -fsanitize=address,undefined)
   endif()
 endfunction()
+
+# Kernels: objects compiled for one arithmetic and instruction set, beside the library's other objects
+# because an object library hands on only what it compiles itself. Without contraction into fused
+# multiply-adds (kg_set_options) every instruction set rounds alike. ARGN: options.
+#   part: engine, physics or sdf; property KG_PART_KERNEL_OBJECTS lists the objects
+function(kg_add_kernel_object part name source)
+  add_library(${name} OBJECT ${source})
+  kg_set_options(${name})
+  target_compile_options(${name} PRIVATE
+    $<IF:$<BOOL:${KG_SANITIZE}>,-O1,-O3> -fno-math-errno -fno-trapping-math
+    -Wno-psabi # vectors are passed between inlined functions only
+    ${ARGN})
+  set_target_properties(${name} PROPERTIES POSITION_INDEPENDENT_CODE ON C_VISIBILITY_PRESET hidden)
+  target_include_directories(${name} PRIVATE ${PROJECT_SOURCE_DIR}/include ${PROJECT_SOURCE_DIR})
+  string(TOUPPER ${part} part)
+  set_property(GLOBAL APPEND PROPERTY KG_${part}_KERNEL_OBJECTS $<TARGET_OBJECTS:${name}>)
+endfunction()
