@@ -28,6 +28,7 @@ typedef struct correct_values {
   cli_paths scene;
   double scene_unit;
   const char *with;
+  bool self;
   const char *forces;
   const char *json;
   int threads;
@@ -170,6 +171,7 @@ static int create_subject(correction *c)
   around.extra = &c->scene.scene;
   around.ground = c->scene.has_floor ? &c->scene.floor : NULL;
   around.other = c->other;
+  around.self = c->values->self;
   return cli_create_subject(&c->subject, c->clip, &c->values->reading, &around);
 }
 
@@ -715,6 +717,14 @@ static const cli_option method_options[] = {
               "both, frame rates may differ. Its body is a moving part of the scene: it is touched "
               "and kept out of, but not changed. The report has the other_ rows then.",
    .offset = offsetof(correct_values, with)},
+  {.name = "self",
+   .kind = CLI_FLAG,
+   .summary = "tells how deep the body's own arms, legs and trunk are in each other",
+   .details =
+     "Points of a segment are held against the shapes of segments three joints away or "
+     "more, as far as these do not overlap in the skeleton's rest pose. The report has the "
+     "self_ rows then.",
+   .offset = offsetof(correct_values, self)},
   {.name = "threads",
    .kind = CLI_INT,
    .value_name = "N",

@@ -27,6 +27,8 @@ const cli_score cli_scores[] = {
   ROW(other_penetration_events,      false, "share of frames deeper than 1 mm in the other athlete"),
   ROW(other_penetration_max_m,       false, "deepest point in the other athlete, m"),
   ROW(other_frames,                  false, "frames with a point inside the other athlete"),
+  ROW(self_penetration_events,       false, "share of frames deeper than 1 mm in the body itself"),
+  ROW(self_penetration_max_m,        false, "deepest point in a segment of the same body, m"),
 };
 /* clang-format on */
 const int cli_score_count = (int)KG_COUNT_OF(cli_scores);

@@ -45,6 +45,9 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
       kg_stage_create(&m->other, subject, KG_STAGE_OTHER_ONLY, subject->allocator) != KG_OK) {
     return false;
   }
+  if (subject->self && kg_self_create(&m->self, body, NULL, subject->allocator) != KG_OK) {
+    return false;
+  }
   for (int i = 0; i < body->segment_count; i++) {
     int count = 0;
     for (int k = 0; k < body->point_count; k++) {
@@ -69,7 +72,9 @@ void kg_measure_release(kg_measure *m)
 {
   kg_stage_destroy(m->other);
   kg_dynamics_destroy(m->dynamics);
+  kg_self_destroy(m->self);
   m->other = NULL;
+  m->self = NULL;
   m->dynamics = NULL;
 }
 
@@ -163,6 +168,14 @@ static void measure_other(kg_measure *m, int t, double *in_other, kg_motion_metr
   if (in_other) in_other[t] = depth;
 }
 
+/* the pose in m->p and m->R against itself */
+static void measure_self(kg_measure *m, kg_motion_metrics *out)
+{
+  const double depth = kg_self_depth(m->self, m->p, m->R, NULL);
+  out->self_penetration_max_m = fmax(out->self_penetration_max_m, depth);
+  out->self_penetration_events += depth > KG_METRIC_EVENT_DEPTH_M ? 1.0 / m->T : 0.0;
+}
+
 /* ---- slip ------------------------------------------------------------------------------------ */
 
 typedef struct slip_sum {
@@ -227,6 +240,7 @@ static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, doub
       penetration[t] = d_pen;
     }
     if (m->other) measure_other(m, t, in_other, out);
+    if (m->self) measure_self(m, out);
     m->flight[t] = now->lowest_soft > KG_METRIC_BALANCE_HEIGHT_M;
     if (t > 0) {
       add_slip(&slip, &m->probe[(t - 1) & 1], now, m->dt);
@@ -329,6 +343,7 @@ kg_motion_metrics kg_measure_motion(kg_measure *m, const double *q, kg_vec3 *joi
   kg_motion_metrics out = {0};
   if (!m->other)
     out.other_penetration_events = out.other_penetration_max_m = out.other_frames = NAN;
+  if (!m->self) out.self_penetration_events = out.self_penetration_max_m = NAN;
   measure_frames(m, q, joints, penetration, in_other, &out);
   measure_drift(m, &out);
   measure_resampled(m, q, &out);

@@ -5,6 +5,7 @@
 #include "kinegrad/arena.h"
 #include "kinegrad/dynamics.h"
 #include "kinegrad/metrics.h"
+#include "kinegrad/self.h"
 #include "kinegrad/stage.h"
 
 enum {
@@ -43,6 +44,7 @@ typedef struct kg_measure {
   const kg_subject *subject;
   kg_dynamics *dynamics;
   kg_stage *other; /* the other athlete alone, NULL: none */
+  kg_self *self;   /* NULL: not asked for                 */
   int T;           /* motion frames                       */
   double dt;       /* s                                   */
   kg_ball *bounds; /* (n) around the points of a segment  */

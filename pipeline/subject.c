@@ -45,6 +45,7 @@ static kg_status build_scene(kg_subject *subject, const kg_subject_def *def, kg_
                    def->other->body->shape_count);
   }
   subject->other = def->other;
+  subject->self = def->self;
   return KG_OK;
 }
 

@@ -444,6 +444,12 @@ awk '/^Frames:/ {print "Frames: 20"; next} /^Frame Time/ {print; data = 1; next}
 run 0 correct "$data/walker.bvh" -o out/two.bvh --method sdf --with brief.bvh
 says "brief.bvh ends at 0.158 s"
 run 3 correct "$data/walker.bvh" -o out/two.bvh --with no_such.bvh
+run 0 correct "$data/walker.bvh" -o out/self.bvh --method sdf --self --json out/self.json
+claim "--self: how deep the capture is in itself" \
+  awk "BEGIN {exit !($("$json_get" out/self.json capture.self_penetration_max_m) > 0.01)}"
+claim "--self: in the table" grep -q "^  self_penetration_max_m " stdout.txt
+run 0 correct "$data/walker.bvh" -o out/self.bvh --method sdf
+claim "without --self: not in the table" test -z "$(grep self_ stdout.txt)"
 run 2 correct "$data/walker.bvh" -o beside.bvh --with beside.bvh
 
 keys="mpjpe_m penetration_events penetration_max_m angular_momentum_change angular_momentum_drift

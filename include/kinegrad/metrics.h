@@ -47,6 +47,9 @@ typedef struct kg_motion_metrics {
   double other_penetration_events;  /* share of frames                        */
   double other_penetration_max_m;
   double other_frames;              /* frames in which a point is inside by more than 0.01 mm */
+  /* of the body's points in segments of its own (kinegrad/self.h); NAN unless subject->self */
+  double self_penetration_events;   /* share of frames deeper than KG_METRIC_EVENT_DEPTH_M    */
+  double self_penetration_max_m;
 } kg_motion_metrics;
 
 typedef struct kg_metrics {

@@ -38,6 +38,8 @@ typedef struct kg_subject_def {
   const kg_ground *ground;      /* what covers the plane; NULL: nothing, it is hard */
   const struct kg_subject *other; /* another athlete in the same world, NULL: none; borrowed by the
                                      subject. kinegrad/stage.h                  */
+  bool self;                    /* the body's own segments are in each other's way too, in metrics
+                                   and correction; default false. kinegrad/self.h              */
   const kg_allocator *allocator;
 } kg_subject_def;
 
@@ -46,6 +48,7 @@ typedef struct kg_subject {
   kg_floor floor;
   kg_scene scene;         /* shape 0 is the ground plane             */
   const struct kg_subject *other; /* borrowed, NULL: none            */
+  bool self;              /* of the definition                       */
   kg_body *body;
   int joint_count;        /* of the clip                             */
   int first_frame;        /* of the clip: the first that is motion   */
