@@ -188,14 +188,20 @@ static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *c)
 
 /* ---- queries --------------------------------------------------------------------------------- */
 
-/* Slot of the closest triangle, or -1. Looks a little beyond limit, by more than roundings; the value
- * decides. */
+/* How far the distance of the search and that of the value may be apart: they round differently. */
+static double rounding(const kg_mesh *mesh, kg_vec3 x)
+{
+  return 1e-15 * (kg_vec3_norm(x) + kg_vec3_norm(mesh->lo) + kg_vec3_norm(mesh->hi));
+}
+
+/* Slot of the closest triangle, or -1. Looks a little beyond limit; the value decides. */
 static int search(const kg_mesh *mesh, kg_vec3 x, double limit, const kg_mesh_hint *hint,
                   bool is_any)
 {
   const bool is_usable =
     hint && hint->triangle >= 0 && hint->triangle / BVH_LEAF < mesh->tree.packet_count;
-  bvh_best best = {limit * limit * (is_any ? 1.0 : 1.0 + 1e-12), -1};
+  const double reach = is_any ? limit : limit * (1.0 + 1e-12) + rounding(mesh, x);
+  bvh_best best = {reach * reach, -1};
   mesh->kernels->search(&mesh->tree, x, is_usable ? hint->triangle / BVH_LEAF : -1, is_any, &best);
   return best.slot;
 }
