@@ -18,6 +18,7 @@ typedef struct mesh_file {
   size_t plain_size;
   long long vertices, faces; /* -1: the format repeats vertices; faces without the collapsed */
   long long collapsed;       /* with fewer than three different corners: the readers drop them */
+  long long corners; /* of the faces, without neighbours that are the same; 0: not counted */
   bool binary;
 } mesh_file;
 

@@ -69,7 +69,7 @@ static bool is_third(long long first[2], long long v)
 static kg_status obj_face(scan *s, mesh_file *file, long long seen)
 {
   int corners = 0;
-  long long first[2] = {0, 0};
+  long long first[2] = {0, 0}, last = 0, changes = 0;
   bool is_face = false;
   put_text(file, "f");
   while (scan_word(s)) {
@@ -83,13 +83,17 @@ static kg_status obj_face(scan *s, mesh_file *file, long long seen)
                        index < 0 ? seen : file->vertices, index < 0 ? " back from here" : "");
     }
     put(file, s->word, length, false);
-    is_face = is_third(first, index < 0 ? seen + 1 + index : index) || is_face;
+    const long long v = index < 0 ? seen + 1 + index : index;
+    is_face = is_third(first, v) || is_face;
+    changes += v != last;
+    last = v;
     corners++;
   }
   if (corners < 3) return scan_fail(s, "a face needs three corners, found %d", corners);
   put_text(file, "\n");
   file->faces += is_face;
   file->collapsed += !is_face;
+  file->corners += is_face ? changes - (last == first[0]) : 0;
   return KG_OK;
 }
 

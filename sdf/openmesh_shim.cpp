@@ -293,6 +293,7 @@ struct odd_polygons {
   explicit odd_polygons(long long left_out) : collapsed(int(std::min(left_out, 1LL * INT_MAX)))
   {
   }
+  long long repeated = 0; /* corners that the reader left out */
   int collapsed, bent = 0, tangled = 0;
   double most_bent = 0.0;
   kg_vec3 bent_at{}, tangled_at{};
@@ -314,6 +315,12 @@ struct odd_polygons {
     if (collapsed > 0) {
       report_say(report, "%d faces with fewer than three different corners were left out\n",
                  collapsed);
+    }
+    if (repeated > 0) {
+      report_say(report,
+                 "repeated: %lld corners name a vertex that their face has already and were left "
+                 "out; an outline with a bridge to a hole is read right from off and ply only\n",
+                 repeated);
     }
     report->bent = bent;
     report->tangled = tangled;
@@ -367,6 +374,7 @@ kg_status build(kg_mesh **mesh, soup_importer &soup, const mesh_file &file, doub
     p = kg_vec3_scale(unit_m, p);
   }
   odd_polygons odd(file.collapsed);
+  odd.repeated = file.corners - static_cast<long long>(soup.corners.size());
   const std::vector<int> triangles = cut_polygons(soup, odd);
   if (triangles.size() / 3 > size_t(INT_MAX / 4)) {
     throw refusal{KG_ERR_UNSUPPORTED, "the mesh has too many triangles"};

@@ -147,6 +147,11 @@ static void bad_lines_are_named(void **state)
      8, 1, "x, y and z"},
     {"m2.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float x\n", 5,
      16, "\"x\" is given twice"},
+    {"m3.ply",
+     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+     "property float z\nproperty uchar red\nelement face 1\nproperty list uchar int vertex_index\n"
+     "end_header\n0 0 0 255\n1 0 0 256\n",
+     12, 7, "a value of type uchar, found \"256\""},
     {"n.ply", "ply\nformat ascii 1.0\nelement vertex 3\nproperty int x\n", 4, 14, "does not fit"},
     {"o.ply", "ply\nformat ascii 2.0\n", 2, 14, "version 1.0"},
     {"p.ply", "ply\nformat ascii 1.0\nelement face 3\n", 3, 9, "expected vertex, then face"},
@@ -258,6 +263,36 @@ static void odd_polygons_are_told(void **state)
                             &report));
   assert_int_equal(report.tangled, 1);
   assert_non_null(strstr(report.text, "tangled: the outlines of 1 polygons"));
+}
+
+/* A square with a square hole, as one outline that goes to the hole and back over a bridge. */
+static void bridges_to_holes_are_cut(void **state)
+{
+  (void)state;
+  kg_mesh_report report;
+  const char *off = "OFF\n8 1 0\n-2 -2 0\n2 -2 0\n2 2 0\n-2 2 0\n-1 -1 0\n-1 1 0\n1 1 0\n1 -1 0\n"
+                    "10 0 1 2 3 0 4 5 6 7 4\n";
+  kg_mesh *mesh = read_text("bridge.off", off, &report);
+  assert_int_equal(report.triangles, 8);
+  assert_int_equal(report.tangled + report.crossings, 0);
+  for (int i = 0; i < 100; i++) { /* the way to the frame: from inside the hole, and on the frame */
+    const double x = 0.03 * (i % 10) - 0.9 + 0.17 * (i / 10), y = 0.9 - 0.18 * (i % 10);
+    const double hole = 1.0 - fmax(fabs(x), fabs(y));
+    assert_close(fabs(kg_mesh_distance(mesh, kg_vec3_make(x, y, 0)).distance), hole, 1e-12);
+    assert_close(kg_mesh_distance(mesh, kg_vec3_make(1.5, 2 * y, 0.2)).distance, 0.2, 1e-12);
+    assert_close(kg_mesh_distance(mesh, kg_vec3_make(-1.5, 2 * y, 0.2)).distance, 0.2, 1e-12);
+    assert_close(kg_mesh_distance(mesh, kg_vec3_make(2 * y, 1.5, 0.2)).distance, 0.2, 1e-12);
+    assert_close(kg_mesh_distance(mesh, kg_vec3_make(2 * y, -1.5, 0.2)).distance, 0.2, 1e-12);
+  }
+  kg_mesh_destroy(mesh);
+  kg_mesh_destroy(read_text("bridge.obj",
+                            "v -2 -2 0\nv 2 -2 0\nv 2 2 0\nv -2 2 0\nv -1 -1 0\nv -1 1 0\nv 1 1 0\n"
+                            "v 1 -1 0\nf 1 2 3 4 1 5 6 7 8 5\n",
+                            &report));
+  assert_non_null(strstr(report.text, "repeated: 2 corners"));
+  kg_mesh_destroy(
+    read_text("closed.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3 1\nf 1 2 2 3\nf 1 2 1\n", &report));
+  assert_null(strstr(report.text, "repeated: "));
 }
 
 /* Faces whose corners coincide, as exporters leave them, are dropped and counted in every format. */
@@ -399,6 +434,7 @@ int main(void)
     cmocka_unit_test(concave_polygons_are_cut_inside),
     cmocka_unit_test(long_polygons_are_cut),
     cmocka_unit_test(odd_polygons_are_told),
+    cmocka_unit_test(bridges_to_holes_are_cut),
     cmocka_unit_test(collapsed_faces_are_left_out),
     cmocka_unit_test(byte_order_marks_are_skipped),
     cmocka_unit_test(crossing_triangles_are_told),

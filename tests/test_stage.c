@@ -154,6 +154,14 @@ static void time_is_that_of_the_clips(void **state_)
   assert_int_equal(scene->shape_count, own);
   kg_stage_set(stage, 0.0, root_of(a.subject, 0));
   assert_int_equal(scene->shape_count, all);
+  kg_stage_set(stage, -0.5 * a.subject->dt, root_of(a.subject, 0));
+  assert_int_equal(scene->shape_count, own);
+  /* within reach: as far as both are tall, one lying towards the other */
+  const double tall = a.subject->body->stature + b.subject->body->stature;
+  kg_vec3 beside = root_of(b.subject, 0);
+  beside.x += tall;
+  kg_stage_set(stage, 0.0, beside);
+  assert_int_equal(scene->shape_count, all);
   kg_stage_set(stage, 0.0, kg_vec3_make(30.0, 1.0, 0.0));
   assert_int_equal(scene->shape_count, own);
   kg_stage_destroy(stage);
@@ -180,6 +188,30 @@ static void a_ball_flies_on(void **state_)
   /* turned by 1 rad about y, 0.25 m and -0.5 m on */
   const kg_vec3 centre = kg_vec3_make(1.25 + 0.3 * cos(1.0), 2.0, 2.5 - 0.3 * sin(1.0));
   assert_close(kg_scene_distance(kg_stage_scene(stage), centre).distance, -0.1, 1e-12);
+  kg_stage_destroy(stage);
+  release(&a);
+}
+
+/* What spins goes on from the way the file turned it: the spin is about the world's axes. */
+static void a_turned_place_spins_on(void **state_)
+{
+  (void)state_;
+  athlete a = walker(0.0, 1, NULL);
+  kg_scene *scene = &a.subject->scene;
+  const double right = 0.5 * acos(-1.0);
+  const kg_place place = {.at = {1.0, 2.0, 3.0},
+                          .turn = kg_quat_exp(kg_vec3_make(0.0, 0.0, right)),
+                          .spin = {right, 0.0, 0.0}};
+  const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE,
+                             .a = {0.3, 0.0, 0.0},
+                             .radius = 0.1,
+                             .place = kg_scene_add_place(scene, &place)};
+  assert_true(kg_scene_add(scene, &ball));
+  kg_stage *stage = NULL;
+  assert_int_equal(kg_stage_create(&stage, a.subject, KG_STAGE_ALL, NULL), KG_OK);
+  kg_stage_set(stage, 1.0, root_of(a.subject, 0)); /* x to y by the turn, y to z by the spin */
+  assert_close(kg_scene_distance(kg_stage_scene(stage), kg_vec3_make(1.0, 2.0, 3.3)).distance, -0.1,
+               1e-12);
   kg_stage_destroy(stage);
   release(&a);
 }
@@ -279,6 +311,7 @@ int main(void)
     cmocka_unit_test(shapes_move_as_they_say),
     cmocka_unit_test(time_is_that_of_the_clips),
     cmocka_unit_test(a_ball_flies_on),
+    cmocka_unit_test(a_turned_place_spins_on),
     cmocka_unit_test(both_methods_lead_out),
     cmocka_unit_test(a_distant_athlete_changes_no_bit),
   };
