@@ -132,6 +132,36 @@ static void points_on_the_surface_have_a_usable_normal(void **state)
   kg_mesh_destroy(mesh);
 }
 
+/* Inside a solid, a hair from an edge that opens outwards: the normal points out there too. */
+static void normals_near_a_reflex_edge_point_out(void **state)
+{
+  (void)state;
+  soup *s = fresh_soup();
+  const double p[6][2] = {{0, 0}, {2, 0}, {2, 1}, {1, 1}, {1, 2}, {0, 2}}; /* an L */
+  for (int k = 0; k < 12; k++) {
+    add_vertex(s, kg_vec3_make(p[k % 6][0], p[k % 6][1], k < 6 ? 0.0 : 1.0));
+  }
+  for (int k = 0; k < 6; k++) {
+    const int a = k, b = (k + 1) % 6;
+    add_triangle(s, a, b, b + 6);
+    add_triangle(s, a, b + 6, a + 6);
+    if (a == 3 || b == 3) continue;
+    add_triangle(s, 3, b, a);
+    add_triangle(s, 9, a + 6, b + 6);
+  }
+  kg_mesh_report report;
+  kg_mesh *mesh = build_mesh(s, &report);
+  assert_true(report.closed && !report.inside_out);
+  assert_close(report.volume, 3.0, 1e-12);
+  const kg_vec3 out = kg_vec3_scale(sqrt(0.5), kg_vec3_make(1, 1, 0));
+  for (double d = 1e-13; d < 0.1; d *= 10.0) {
+    const kg_sdf_value v = kg_mesh_distance(mesh, kg_vec3_make(1.0 - d, 1.0 - d, 0.4));
+    assert_close(v.distance, -sqrt(2.0) * d, 1e-15);
+    assert_at_most(kg_vec3_norm(kg_vec3_sub(v.normal, out)), 1e-2);
+  }
+  kg_mesh_destroy(mesh);
+}
+
 /* ---- diagnosis -----------------------------------------------------------------------------------*/
 
 /* A box without its lid is a solid with a gap, wherever the other boxes of the mesh are. */
@@ -450,6 +480,17 @@ static void far_points_have_a_value(void **state)
   check_far_points(s, mesh);
   const kg_sdf_value beyond = kg_mesh_distance(mesh, kg_vec3_make(3.0, -INFINITY, 1.0));
   assert_true(isinf(beyond.distance) && beyond.distance > 0.0 && beyond.normal.y == -1.0);
+  /* so far that a box's front and back are equally near, whichever triangle comes first */
+  soup *box = fresh_soup();
+  add_box(box, kg_vec3_make(0, 0, 0), kg_vec3_make(1, 1, 1));
+  kg_mesh *far = build_mesh(box, NULL);
+  for (int i = 0; i < 12; i++) { /* over both triangles of a side */
+    const int k = i / 2;
+    double x[3] = {i % 2 ? 0.2 : 0.7, k / 2 == 0 ? (i % 2 ? 0.2 : 0.7) : 0.4, i % 2 ? 0.7 : 0.2};
+    x[k / 2] = k % 2 ? 1e17 : -1e17;
+    assert_close(kg_mesh_distance(far, kg_vec3_make(x[0], x[1], x[2])).distance, 1e17, 1e-15);
+  }
+  kg_mesh_destroy(far);
   kg_sdf_value value = {0.0, {0.0, 0.0, 0.0}, {0.0}};
   assert_true(kg_mesh_distance_within(mesh, kg_vec3_make(0.0, NAN, INFINITY), 1.0, NULL, &value));
   assert_true(isnan(value.distance));
@@ -695,6 +736,7 @@ int main(void)
     cmocka_unit_test(gradient_and_hessian_match_differences),
     cmocka_unit_test(distances_have_lipschitz_constant_one),
     cmocka_unit_test(points_on_the_surface_have_a_usable_normal),
+    cmocka_unit_test(normals_near_a_reflex_edge_point_out),
     cmocka_unit_test(gap_in_a_solid_is_named),
     cmocka_unit_test(open_terrain_is_a_sheet),
     cmocka_unit_test(awkward_rims_are_walked),
