@@ -34,41 +34,76 @@ static int clamped_index(double offset, double spacing, int n, bool nearest)
   return at > 0.0 ? (at < last ? (int)at : last) : 0;
 }
 
-static const float *node_at(const grid_view *g, int i, int j, int k)
+/* The cell around a point, or the one nearest to it, and the block that holds it. */
+typedef struct spot {
+  int cell[3], nearest[3]; /* nodes, counted from the block's first */
+  int first[3];            /* node of the block */
+  int block;               /* -1: without nodes */
+  const float *center;
+  kg_vec3 center_place;
+} spot;
+
+static spot find_spot(const grid_view *g, kg_vec3 x)
 {
-  return g->node + 4 * (((size_t)k * (size_t)g->n[1] + (size_t)j) * (size_t)g->n[0] + (size_t)i);
+  spot s;
+  const double offset[3] = {x.x - g->lo.x, x.y - g->lo.y, x.z - g->lo.z};
+  int of[3]; /* the block */
+  for (int axis = 0; axis < 3; axis++) {
+    const int cell = clamped_index(offset[axis], g->spacing, g->n[axis], false);
+    of[axis] = cell / GRID_SIDE;
+    s.first[axis] = of[axis] * GRID_SIDE;
+    s.cell[axis] = cell - s.first[axis];
+    s.nearest[axis] = clamped_index(offset[axis], g->spacing, g->n[axis], true) - s.first[axis];
+  }
+  const size_t at = grid_block_at(g, of[0], of[1], of[2]);
+  s.block = g->block[at];
+  s.center = g->center + 4 * at;
+  s.center_place = grid_center_place(g, of[0], of[1], of[2]);
+  return s;
 }
 
-/* least and greatest that Phi(x) can be */
+static kg_vec3 place_in(const grid_view *g, const spot *s, const int at[3])
+{
+  return grid_place(g, s->first[0] + at[0], s->first[1] + at[1], s->first[2] + at[2]);
+}
+
+/* least and greatest that Phi(x) can be, and the greatest of |Phi(x)| */
 typedef struct interval {
-  double lo, hi;
+  double lo, hi, most;
 } interval;
 
-static interval bracket(const kg_grid *grid, kg_vec3 x)
+/* by the values of a node `off` away from x */
+static void tighten(const kg_grid *grid, const float *node, kg_vec3 off, interval *sure)
+{
+  const double v = (double)node[0], way = kg_vec3_norm(off) + grid->slack;
+  sure->lo = fmax(sure->lo, v - way);
+  sure->hi = fmin(sure->hi, v + way);
+  sure->most = fmin(sure->most, fabs(v) + way);
+  if (grid->has_closest) {
+    const kg_vec3 n = {(double)node[1], (double)node[2], (double)node[3]};
+    sure->most = fmin(sure->most, kg_vec3_norm(kg_vec3_add_scaled(off, v, n)) + grid->slack);
+  }
+}
+
+/* by the nodes of the cell around x, where there are none by the block's center */
+static interval bracket(const kg_grid *grid, const spot *s, kg_vec3 x)
 {
   const grid_view *g = &grid->view;
-  const kg_vec3 d = kg_vec3_sub(x, g->lo);
-  const int i = clamped_index(d.x, g->spacing, g->n[0], false);
-  const int j = clamped_index(d.y, g->spacing, g->n[1], false);
-  const int k = clamped_index(d.z, g->spacing, g->n[2], false);
-  interval sure = {-INFINITY, INFINITY};
-  double most = INFINITY; /* of |Phi| */
-  for (int corner = 0; corner < 8; corner++) {
-    const int at[3] = {i + corner % 2, j + corner / 2 % 2, k + corner / 4};
-    const float *node = node_at(g, at[0], at[1], at[2]);
-    const double v = (double)node[0];
-    const kg_vec3 off = kg_vec3_sub(x, grid_place(g, at[0], at[1], at[2]));
-    const double way = kg_vec3_norm(off) + grid->slack;
-    sure.lo = fmax(sure.lo, v - way);
-    sure.hi = fmin(sure.hi, v + way);
-    most = fmin(most, fabs(v) + way);
-    if (grid->has_closest) {
-      const kg_vec3 n = {(double)node[1], (double)node[2], (double)node[3]};
-      most = fmin(most, kg_vec3_norm(kg_vec3_add_scaled(off, v, n)) + grid->slack);
-    }
+  interval sure = {-INFINITY, INFINITY, INFINITY};
+  for (int corner = 0; corner < 8 && s->block >= 0; corner++) {
+    const int at[3] = {s->cell[0] + corner % 2, s->cell[1] + corner / 2 % 2,
+                       s->cell[2] + corner / 4};
+    tighten(grid, g->node + 4 * grid_node_at(s->block, at[0], at[1], at[2]),
+            kg_vec3_sub(x, place_in(g, s, at)), &sure);
   }
-  if (!grid->is_continuous) return (interval){-most, most};
-  return (interval){fmax(sure.lo, -most), fmin(sure.hi, most)};
+  if (s->block < 0) tighten(grid, s->center, kg_vec3_sub(x, s->center_place), &sure);
+  if (!grid->is_continuous) return (interval){-sure.most, sure.most, sure.most};
+  return (interval){fmax(sure.lo, -sure.most), fmin(sure.hi, sure.most), sure.most};
+}
+
+static double largest_error(interval sure, double distance)
+{
+  return fmax(fabs(sure.hi - distance), fabs(sure.lo - distance));
 }
 
 static bool interpolated(const kg_grid *grid, kg_vec3 x, kg_grid_value *out)
@@ -77,12 +112,24 @@ static bool interpolated(const kg_grid *grid, kg_vec3 x, kg_grid_value *out)
   *out = (kg_grid_value){.is_exact = false};
   grid->kernels->interpolate(&grid->view, 1, &x, &out->distance, &out->gradient, &inside);
   if (!inside) return false;
-  const interval sure = bracket(grid, x);
-  out->error = fmax(fabs(sure.hi - out->distance), fabs(sure.lo - out->distance));
+  const spot s = find_spot(&grid->view, x);
+  out->error = largest_error(bracket(grid, &s, x), out->distance);
   return true;
 }
 
-/* Outside of the box, or not a number. */
+/* x in the box: the interpolant, or the plane through the center of a block without nodes */
+static kg_grid_value without_source(const kg_grid *grid, kg_vec3 x)
+{
+  kg_grid_value out;
+  if (interpolated(grid, x, &out)) return out;
+  const spot s = find_spot(&grid->view, x);
+  out.gradient = (kg_vec3){(double)s.center[1], (double)s.center[2], (double)s.center[3]};
+  out.distance = (double)s.center[0] + kg_vec3_dot(out.gradient, kg_vec3_sub(x, s.center_place));
+  out.error = largest_error(bracket(grid, &s, x), out.distance);
+  return out;
+}
+
+/* Outside of the box or in a block without nodes, or not a number. */
 static kg_grid_value beside(const kg_grid *grid, kg_vec3 x)
 {
   if (has_source(grid)) {
@@ -95,12 +142,10 @@ static kg_grid_value beside(const kg_grid *grid, kg_vec3 x)
   const kg_vec3 lo = grid->view.lo, hi = grid->hi;
   const kg_vec3 p = {fmin(fmax(x.x, lo.x), hi.x), fmin(fmax(x.y, lo.y), hi.y),
                      fmin(fmax(x.z, lo.z), hi.z)};
-  kg_grid_value out;
-  const bool inside = interpolated(grid, p, &out);
-  KG_ASSERT(inside);
-  (void)inside;
+  kg_grid_value out = without_source(grid, p);
   const kg_vec3 out_of = kg_vec3_sub(x, p);
   const double way = kg_vec3_norm(out_of);
+  if (!(way > 0.0)) return out;
   out.distance += way;
   out.gradient = kg_vec3_normalized(out_of);
   out.error += 2.0 * way;
@@ -134,12 +179,13 @@ void kg_grid_distance_many(const kg_grid *grid, int count, const kg_vec3 *x, dou
 double kg_grid_lower_bound(const kg_grid *grid, kg_vec3 x)
 {
   const grid_view *g = &grid->view;
-  const kg_vec3 d = kg_vec3_sub(x, g->lo);
-  const int i = clamped_index(d.x, g->spacing, g->n[0], true);
-  const int j = clamped_index(d.y, g->spacing, g->n[1], true);
-  const int k = clamped_index(d.z, g->spacing, g->n[2], true);
-  const kg_vec3 off = kg_vec3_sub(x, grid_place(g, i, j, k));
-  const double bound = fabs((double)*node_at(g, i, j, k)) - kg_vec3_norm(off) - grid->slack;
+  const spot s = find_spot(g, x);
+  const bool has_nodes = s.block >= 0;
+  const int *at = s.nearest;
+  const float *node =
+    has_nodes ? g->node + 4 * grid_node_at(s.block, at[0], at[1], at[2]) : s.center;
+  const kg_vec3 off = kg_vec3_sub(x, has_nodes ? place_in(g, &s, at) : s.center_place);
+  const double bound = fabs((double)*node) - kg_vec3_norm(off) - grid->slack;
   return bound > 0.0 ? bound : 0.0; /* 0 for NaN too */
 }
 

@@ -1,11 +1,15 @@
-/* Sampling of a field, two layers of nodes after the other, by as many threads as wanted.
+/* Sampling of a field, by as many threads as wanted: first the centers of all blocks, then the nodes of
+ * those near to the surface, two layers after the other.
  *
  * Of a mesh, packets of 4 x 2 x 2 nodes look for their nearest triangles together, in floats, from
  * what the packet before found; the distance to the triangle found is then taken in double. In floats
  * a triangle can pass for nearer than another by some 1e-7 of the box, so a node's value is never
  * below |Phi| and not above it by more than GRID_SLACK of the diagonal. Where a nearly equal triangle
  * could have another sign (an edge or corner seen from far beside its pseudo-normal) the mesh is asked.
- * A layer's packets begin afresh, so that threads do not show in the result. */
+ * A layer's packets begin afresh, so that threads do not show in the result.
+ *
+ * A block is asked for its first GRID_SIDE^3 nodes only; those on its other faces are the first ones of
+ * the blocks behind them, and every block that holds a node is given it. */
 #include "sdf/grid_internal.h"
 
 #include "sdf/feature.h"
@@ -20,6 +24,16 @@ enum { MOST_THREADS = 64, PACKET_X = 4, PACKET_Y = 2, PACKET_Z = 2 };
 
 /* ---- memory ------------------------------------------------------------------------------------- */
 
+static int block_count(int nodes)
+{
+  return (nodes - 1 + GRID_SIDE - 1) / GRID_SIDE;
+}
+
+size_t grid_block_total(const grid_view *view)
+{
+  return (size_t)view->blocks[0] * (size_t)view->blocks[1] * (size_t)view->blocks[2];
+}
+
 kg_status grid_allocate(kg_grid **grid, kg_vec3 lo, double spacing, const int n[3],
                         const kg_allocator *allocator, kg_error *error)
 {
@@ -29,34 +43,90 @@ kg_status grid_allocate(kg_grid **grid, kg_vec3 lo, double spacing, const int n[
     return kg_fail(error, KG_ERR_UNSUPPORTED, "", 0, 0, "a grid of %d x %d x %d nodes is too large",
                    n[0], n[1], n[2]);
   }
+  const grid_view view = {.lo = lo,
+                          .spacing = spacing,
+                          .n = {n[0], n[1], n[2]},
+                          .blocks = {block_count(n[0]), block_count(n[1]), block_count(n[2])}};
+  const size_t blocks = grid_block_total(&view);
   kg_arena arena;
   kg_arena_init(&arena, allocator);
   kg_grid *built = KG_ARENA_ARRAY(&arena, kg_grid, 1);
-  float *node = kg_arena_take(&arena, (size_t)count * 4 * sizeof(float) + 64, 64);
-  if (!built || !node) {
+  float *center = kg_arena_take(&arena, blocks * 4 * sizeof(float), 64);
+  int *block = kg_arena_take(&arena, blocks * sizeof *block, 64);
+  if (!built || !center || !block) {
     kg_arena_release(&arena);
     return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a grid of %d x %d x %d nodes",
                    n[0], n[1], n[2]);
   }
   built->arena = arena;
   built->kernels = kg_sdf_kernels_best()->grid;
-  built->view = (grid_view){.lo = lo, .spacing = spacing, .node = node};
-  memcpy(built->view.n, n, sizeof built->view.n);
-  built->hi = grid_place(&built->view, n[0] - 1, n[1] - 1, n[2] - 1);
+  built->view = view;
+  built->view.center = center;
+  built->view.block = block;
+  built->hi = grid_place(&view, n[0] - 1, n[1] - 1, n[2] - 1);
   built->slack = GRID_SLACK * kg_vec3_norm(kg_vec3_sub(built->hi, lo));
   *grid = built;
   return KG_OK;
 }
 
+/* The view is const for everyone else. */
 float *grid_nodes(kg_grid *grid)
 {
-  return (float *)(uintptr_t)grid->view.node; /* const for everyone else */
+  return (float *)(uintptr_t)grid->view.node;
+}
+
+float *grid_centers(kg_grid *grid)
+{
+  return (float *)(uintptr_t)grid->view.center;
+}
+
+/* No point of a block is farther from its center than half a diagonal. */
+int grid_choose_blocks(kg_grid *grid)
+{
+  grid_view *g = &grid->view;
+  const double half = 0.5 * GRID_SIDE * 1.7320508075688772;
+  const double reach = (GRID_BAND + half) * g->spacing + grid->slack;
+  const size_t total = grid_block_total(g);
+  int *block = (int *)(uintptr_t)g->block;
+  g->count = 0;
+  for (size_t at = 0; at < total; at++) {
+    block[at] = fabs((double)g->center[4 * at]) <= reach ? g->count++ : -1;
+  }
+  return g->count;
+}
+
+kg_status grid_allocate_nodes(kg_grid *grid, kg_error *error)
+{
+  const size_t stride = GRID_BLOCK_STRIDE * 4 * sizeof(float);
+  const size_t bytes = (size_t)grid->view.count * stride;
+  char *memory = kg_arena_take(&grid->arena, bytes + stride, 64);
+  if (!memory) {
+    return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for %d blocks of a grid",
+                   grid->view.count);
+  }
+  memory += -(uintptr_t)memory % stride; /* no block on two pages */
+  memset(memory, 0, bytes);
+  grid->view.node = (const float *)(const void *)memory;
+  return KG_OK;
 }
 
 kg_vec3 grid_place(const grid_view *view, int i, int j, int k)
 {
   return kg_vec3_add(view->lo,
                      kg_vec3_make(i * view->spacing, j * view->spacing, k * view->spacing));
+}
+
+static double center_along(double lo, double spacing, int block, int nodes)
+{
+  const int middle = block * GRID_SIDE + GRID_SIDE / 2;
+  return lo + spacing * (middle < nodes ? middle : nodes - 1);
+}
+
+kg_vec3 grid_center_place(const grid_view *view, int i, int j, int k)
+{
+  return kg_vec3_make(center_along(view->lo.x, view->spacing, i, view->n[0]),
+                      center_along(view->lo.y, view->spacing, j, view->n[1]),
+                      center_along(view->lo.z, view->spacing, k, view->n[2]));
 }
 
 void kg_grid_destroy(kg_grid *grid)
@@ -243,90 +313,156 @@ static bool make_local(local_mesh *local, const kg_mesh *mesh, kg_vec3 origin, d
 typedef struct sampling {
   kg_grid *grid;
   const local_mesh *local; /* NULL: of a field */
+  bool of_centers;
+  int layers;
   atomic_int next_layer;
   atomic_bool undefined;
 } sampling;
 
-static void set_node(sampling *s, int i, int j, int k, kg_sdf_value value)
+static void set_values(sampling *s, float *node, const kg_sdf_value *value)
 {
-  const grid_view *g = &s->grid->view;
-  float *node = grid_nodes(s->grid) +
-                4 * (((size_t)k * (size_t)g->n[1] + (size_t)j) * (size_t)g->n[0] + (size_t)i);
-  node[0] = (float)value.distance;
-  to_floats(node + 1, value.normal);
+  node[0] = (float)value->distance;
+  to_floats(node + 1, value->normal);
   if (!isfinite(node[0]) || !isfinite(node[1]) || !isfinite(node[2]) || !isfinite(node[3])) {
     atomic_store(&s->undefined, true);
   }
 }
 
-/* node of a lane; at the grid's end the last one again */
-static int lane_index(int first, int offset, int n)
+/* number of the block, -1 without nodes or beyond the grid */
+static int number_of(const grid_view *g, int i, int j, int k)
 {
-  return first + offset < n ? first + offset : n - 1;
+  const bool is_in =
+    i >= 0 && j >= 0 && k >= 0 && i < g->blocks[0] && j < g->blocks[1] && k < g->blocks[2];
+  return is_in ? g->block[grid_block_at(g, i, j, k)] : -1;
 }
 
-static void place_packet(const grid_view *g, const int first[3], int at[GRID_PACKET][3],
+/* in every block that holds the node: one of its own, or the last one of the block before */
+static void set_node(sampling *s, const int at[3], const kg_sdf_value *value)
+{
+  for (int corner = 0; corner < 8; corner++) {
+    const int before[3] = {corner % 2, corner / 2 % 2, corner / 4};
+    int block[3], local[3];
+    bool holds = true;
+    for (int axis = 0; axis < 3; axis++) {
+      block[axis] = at[axis] / GRID_SIDE - before[axis];
+      local[axis] = at[axis] - GRID_SIDE * block[axis];
+      holds = holds && local[axis] <= GRID_SIDE;
+    }
+    const int number = holds ? number_of(&s->grid->view, block[0], block[1], block[2]) : -1;
+    if (number >= 0) {
+      float *node = grid_nodes(s->grid) + 4 * grid_node_at(number, local[0], local[1], local[2]);
+      set_values(s, node, value);
+    }
+  }
+}
+
+/* a center or a node */
+static kg_vec3 place_of(const sampling *s, const int at[3])
+{
+  const grid_view *g = &s->grid->view;
+  return s->of_centers ? grid_center_place(g, at[0], at[1], at[2])
+                       : grid_place(g, at[0], at[1], at[2]);
+}
+
+static void set(sampling *s, const int at[3], const kg_sdf_value *value)
+{
+  if (s->of_centers) {
+    const size_t block = grid_block_at(&s->grid->view, at[0], at[1], at[2]);
+    set_values(s, grid_centers(s->grid) + 4 * block, value);
+  } else {
+    set_node(s, at, value);
+  }
+}
+
+/* how many there are along an axis */
+static int sample_count(const sampling *s, int axis)
+{
+  return s->of_centers ? s->grid->view.blocks[axis] : s->grid->view.n[axis];
+}
+
+static void place_packet(const sampling *s, const int first[3], int at[GRID_PACKET][3],
                          grid_packet *packet)
 {
   for (int lane = 0; lane < GRID_PACKET; lane++) {
     const int offset[3] = {lane % PACKET_X, lane / PACKET_X % PACKET_Y,
                            lane / (PACKET_X * PACKET_Y)};
+    for (int axis = 0; axis < 3; axis++) { /* at the end the last one again */
+      const int last = sample_count(s, axis) - 1, index = first[axis] + offset[axis];
+      at[lane][axis] = index < last ? index : last;
+    }
+    float x[3];
+    to_floats(x, kg_vec3_sub(place_of(s, at[lane]), s->grid->view.lo));
     for (int axis = 0; axis < 3; axis++) {
-      at[lane][axis] = lane_index(first[axis], offset[axis], g->n[axis]);
-      packet->x[axis][lane] = (float)(at[lane][axis] * g->spacing);
+      packet->x[axis][lane] = x[axis];
     }
     packet->distance2[lane] = INFINITY;
   }
 }
 
 /* seeds: some triangles of the packet before, -1 for none */
-static void sample_packet(sampling *s, const int first[3], int seeds[4])
+static void sample_mesh(sampling *s, const int at[GRID_PACKET][3], grid_packet *packet,
+                        int seeds[4])
 {
   const local_mesh *local = s->local;
   const kg_grid_kernels *kernels = s->grid->kernels;
-  int at[GRID_PACKET][3];
-  grid_packet packet;
-  place_packet(&s->grid->view, first, at, &packet);
   for (int k = 0; k < 4 && seeds[k] >= 0; k++) {
     if (k == 0 || seeds[k] != seeds[k - 1])
-      kernels->try_triangle(local->triangles, seeds[k], &packet);
+      kernels->try_triangle(local->triangles, seeds[k], packet);
   }
-  kernels->search(&local->tree, local->around, local->triangles, &packet);
+  kernels->search(&local->tree, local->around, local->triangles, packet);
   for (int lane = 0; lane < GRID_PACKET; lane++) {
-    const kg_vec3 x = grid_place(&s->grid->view, at[lane][0], at[lane][1], at[lane][2]);
-    const int slot = local->slot[local->tree.order[packet.triangle[lane]]];
+    const kg_vec3 x = place_of(s, at[lane]);
+    const int slot = local->slot[local->tree.order[packet->triangle[lane]]];
     kg_sdf_value value;
     if (!mesh_value_on(local->mesh, x, slot, &value)) {
       value = kg_mesh_distance(local->mesh, x);
     }
-    set_node(s, at[lane][0], at[lane][1], at[lane][2], value);
+    set(s, at[lane], &value);
   }
   for (int k = 0; k < 4; k++) {
-    seeds[k] = packet.triangle[5 * k];
+    seeds[k] = packet->triangle[5 * k];
   }
 }
 
-static void sample_mesh_layer(sampling *s, int z)
+static void sample_packet(sampling *s, const int first[3], int seeds[4])
 {
-  const int *n = s->grid->view.n;
-  int seeds[4] = {-1, -1, -1, -1};
-  const int columns = (n[0] + PACKET_X - 1) / PACKET_X;
-  for (int y = 0; y < n[1]; y += PACKET_Y) {
-    for (int c = 0; c < columns; c++) { /* there and back: the packet before is a neighbour */
-      const int x = PACKET_X * (y / PACKET_Y % 2 ? columns - 1 - c : c);
-      sample_packet(s, (int[3]){x, y, z}, seeds);
+  int at[GRID_PACKET][3];
+  grid_packet packet;
+  place_packet(s, first, at, &packet);
+  if (s->local) {
+    sample_mesh(s, (const int(*)[3])at, &packet, seeds);
+    return;
+  }
+  for (int lane = 0; lane < GRID_PACKET; lane++) {
+    const kg_sdf_value value = grid_ask(&s->grid->source, place_of(s, at[lane]));
+    set(s, at[lane], &value);
+  }
+}
+
+/* Does a block hold a node of the packet? A packet is as long as a block along x. */
+static bool is_wanted(const sampling *s, const int first[3])
+{
+  if (s->of_centers) return true;
+  const int back_y = first[1] % GRID_SIDE == 0, back_z = first[2] % GRID_SIDE == 0;
+  for (int k = first[2] / GRID_SIDE - back_z; k <= first[2] / GRID_SIDE; k++) {
+    for (int j = first[1] / GRID_SIDE - back_y; j <= first[1] / GRID_SIDE; j++) {
+      for (int i = first[0] / GRID_SIDE - 1; i <= first[0] / GRID_SIDE; i++) {
+        if (number_of(&s->grid->view, i, j, k) >= 0) return true;
+      }
     }
   }
+  return false;
 }
 
-static void sample_field_layer(sampling *s, int z)
+static void sample_layer(sampling *s, int z)
 {
-  const grid_view *g = &s->grid->view;
-  for (int k = z; k < g->n[2] && k < z + PACKET_Z; k++) {
-    for (int j = 0; j < g->n[1]; j++) {
-      for (int i = 0; i < g->n[0]; i++) {
-        set_node(s, i, j, k, grid_ask(&s->grid->source, grid_place(g, i, j, k)));
-      }
+  int seeds[4] = {-1, -1, -1, -1};
+  const int columns = (sample_count(s, 0) + PACKET_X - 1) / PACKET_X;
+  for (int y = 0; y < sample_count(s, 1); y += PACKET_Y) {
+    for (int c = 0; c < columns; c++) { /* there and back: the packet before is a neighbour */
+      const int x = PACKET_X * (y / PACKET_Y % 2 ? columns - 1 - c : c);
+      const int first[3] = {x, y, z};
+      if (is_wanted(s, first)) sample_packet(s, first, seeds);
     }
   }
 }
@@ -335,18 +471,17 @@ static void *sample_layers(void *user)
 {
   sampling *s = user;
   for (;;) {
-    const int z = PACKET_Z * atomic_fetch_add(&s->next_layer, 1);
-    if (z >= s->grid->view.n[2]) return NULL;
-    if (s->local) {
-      sample_mesh_layer(s, z);
-    } else {
-      sample_field_layer(s, z);
-    }
+    const int layer = atomic_fetch_add(&s->next_layer, 1);
+    if (layer >= s->layers) return NULL;
+    sample_layer(s, PACKET_Z * layer);
   }
 }
 
-static void sample(sampling *s, int threads)
+static void sample(sampling *s, bool of_centers, int threads)
 {
+  s->of_centers = of_centers;
+  s->layers = (sample_count(s, 2) + PACKET_Z - 1) / PACKET_Z;
+  atomic_store(&s->next_layer, 0);
   pthread_t workers[MOST_THREADS];
   int started = 0;
   while (started + 1 < threads && started + 1 < MOST_THREADS &&
@@ -424,8 +559,11 @@ kg_status kg_grid_create(kg_grid **grid, const kg_grid_def *def, kg_error *error
     status = kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory to build a grid of a mesh");
   } else {
     s.local = def->source.mesh ? &local : NULL;
-    sample(&s, def->threads);
-    if (atomic_load(&s.undefined)) {
+    sample(&s, true, def->threads);
+    (void)grid_choose_blocks(built);
+    status = grid_allocate_nodes(built, error);
+    if (status == KG_OK) sample(&s, false, def->threads);
+    if (status == KG_OK && atomic_load(&s.undefined)) {
       status = kg_fail(error, KG_ERR_UNDEFINED, "", 0, 0, "the field is not finite at a node");
     }
   }

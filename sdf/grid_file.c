@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { HEADER = 64, NODE = 16, CHECKSUM = 8, VERSION = 1, CHUNK = 4096 /* nodes */ };
+enum { HEADER = 64, NODE = 16, CHECKSUM = 8, VERSION = 2, CHUNK = 4096 /* nodes */ };
 enum { FLAG_CONTINUOUS = 1, FLAG_CLOSEST = 2 };
 
 static const char magic[8] = {'K', 'G', 'G', 'R', 'I', 'D', '\r', '\n'};
@@ -72,9 +72,11 @@ static void get_floats(float *values, const unsigned char *in, size_t count)
   }
 }
 
-static size_t node_total(const int n[3])
+/* byte of the node */
+static size_t byte_of(const grid_view *g, int block, int i, int j, int k)
 {
-  return (size_t)n[0] * (size_t)n[1] * (size_t)n[2];
+  const size_t before = grid_block_total(g) + (size_t)block * GRID_BLOCK_NODES;
+  return HEADER + NODE * (before + grid_node_at(0, i, j, k));
 }
 
 /* ---- writing ----------------------------------------------------------------------------------- */
@@ -94,20 +96,32 @@ static void make_header(unsigned char out[HEADER], const kg_grid *grid)
   for (int k = 0; k < 3; k++) {
     put(out + 48 + 4 * k, (uint64_t)g->n[k], 4);
   }
+  put(out + 60, (uint64_t)g->count, 4);
+}
+
+static bool write_nodes(FILE *file, const float *node, size_t total, uint64_t *sum)
+{
+  unsigned char bytes[CHUNK * NODE];
+  for (size_t first = 0; first < total; first += CHUNK) {
+    const size_t count = total - first < CHUNK ? total - first : CHUNK;
+    put_floats(bytes, node + 4 * first, 4 * count);
+    *sum = fnv(*sum, bytes, count * NODE);
+    if (fwrite(bytes, NODE, count, file) != count) return false;
+  }
+  return true;
 }
 
 static bool write_all(FILE *file, const kg_grid *grid)
 {
-  unsigned char bytes[CHUNK * NODE], header[HEADER], end[CHECKSUM];
-  const size_t total = node_total(grid->view.n);
+  unsigned char header[HEADER], end[CHECKSUM];
+  const grid_view *g = &grid->view;
   make_header(header, grid);
   uint64_t sum = fnv(fnv_start, header, HEADER);
   if (fwrite(header, 1, HEADER, file) != HEADER) return false;
-  for (size_t first = 0; first < total; first += CHUNK) {
-    const size_t count = total - first < CHUNK ? total - first : CHUNK;
-    put_floats(bytes, grid->view.node + 4 * first, 4 * count);
-    sum = fnv(sum, bytes, count * NODE);
-    if (fwrite(bytes, NODE, count, file) != count) return false;
+  if (!write_nodes(file, g->center, grid_block_total(g), &sum)) return false;
+  for (int block = 0; block < g->count; block++) {
+    const float *node = g->node + 4 * grid_node_at(block, 0, 0, 0);
+    if (!write_nodes(file, node, GRID_BLOCK_NODES, &sum)) return false;
   }
   put(end, sum, CHECKSUM);
   return fwrite(end, 1, CHECKSUM, file) == CHECKSUM;
@@ -145,6 +159,7 @@ typedef struct header {
   kg_vec3 lo;
   double spacing;
   int n[3];
+  int count; /* blocks with nodes */
 } header;
 
 #define REFUSE(r, ...) kg_fail((r)->error, KG_ERR_FORMAT, (r)->path, 0, 0, __VA_ARGS__)
@@ -165,8 +180,8 @@ static kg_status check_header(const reader *r, const unsigned char *bytes, heade
   *out = (header){.flags = (unsigned)get(bytes + 12, 4),
                   .lo = {get_double(bytes + 16), get_double(bytes + 24), get_double(bytes + 32)},
                   .spacing = get_double(bytes + 40)};
-  if (out->flags > (FLAG_CONTINUOUS | FLAG_CLOSEST) || get(bytes + 60, 4) != 0) {
-    return REFUSE(r, "byte 12 or 60: flags that version %d does not know", VERSION);
+  if (out->flags > (FLAG_CONTINUOUS | FLAG_CLOSEST)) {
+    return REFUSE(r, "byte 12: flags that version %d does not know", VERSION);
   }
   if (!is_place(out->lo.x) || !is_place(out->lo.y) || !is_place(out->lo.z)) {
     return REFUSE(r, "byte 16: the first node is not a usable point: (%g, %g, %g)", out->lo.x,
@@ -190,94 +205,239 @@ static kg_status check_header(const reader *r, const unsigned char *bytes, heade
   }
   if (total >= 2147483648.0)
     return REFUSE(r, "byte 48: %.0f nodes, expected less than 2^31", total);
+  const uint64_t count = get(bytes + 60, 4);
+  if (count > INT_MAX) {
+    return REFUSE(r, "byte 60: %llu blocks with nodes", (unsigned long long)count);
+  }
+  out->count = (int)count;
   return KG_OK;
 }
 
 /* exactly as long as the header says, before memory is taken for it */
-static kg_status check_length(const reader *r, const int n[3])
+static kg_status check_length(const reader *r, const header *h)
 {
-  const double expected = HEADER + (double)node_total(n) * NODE + CHECKSUM;
+  double blocks = 1.0;
+  for (int k = 0; k < 3; k++) {
+    blocks *= (h->n[k] - 1 + GRID_SIDE - 1) / GRID_SIDE;
+  }
+  const double expected = HEADER + (blocks + (double)h->count * GRID_BLOCK_NODES) * NODE + CHECKSUM;
   const long at = ftell(r->file);
   if (at < 0 || fseek(r->file, 0, SEEK_END) != 0) return REFUSE(r, "the file cannot be measured");
   const long size = ftell(r->file);
   if ((double)size != expected) {
-    return REFUSE(r, "the file has %ld bytes, its %d x %d x %d nodes take %.0f", size, n[0], n[1],
-                  n[2], expected);
+    return REFUSE(r,
+                  "the file has %ld bytes, its %d x %d x %d nodes with %d blocks near the surface "
+                  "take %.0f",
+                  size, h->n[0], h->n[1], h->n[2], h->count, expected);
   }
   return fseek(r->file, at, SEEK_SET) == 0 ? KG_OK : REFUSE(r, "the file cannot be read");
 }
 
-static kg_status read_nodes(reader *r, kg_grid *grid)
+/* byte: where they begin in the file */
+static kg_status read_nodes(reader *r, float *node, size_t total, size_t byte)
 {
   unsigned char bytes[CHUNK * NODE];
-  const size_t total = node_total(grid->view.n);
-  float *node = grid_nodes(grid);
   for (size_t first = 0; first < total; first += CHUNK) {
     const size_t count = total - first < CHUNK ? total - first : CHUNK;
     if (fread(bytes, NODE, count, r->file) != count) {
-      return REFUSE(r, "byte %zu: the file ends here", HEADER + NODE * first);
+      return REFUSE(r, "byte %zu: the file ends here", byte + NODE * first);
     }
     r->sum = fnv(r->sum, bytes, count * NODE);
     get_floats(node + 4 * first, bytes, 4 * count);
   }
+  return KG_OK;
+}
+
+static kg_status read_checksum(const reader *r, const grid_view *g)
+{
+  unsigned char bytes[CHECKSUM];
   if (fread(bytes, 1, CHECKSUM, r->file) != CHECKSUM || get(bytes, CHECKSUM) != r->sum) {
     return REFUSE(r, "byte %zu: the checksum does not fit: the file is damaged",
-                  HEADER + NODE * total);
+                  byte_of(g, g->count, 0, 0, 0));
   }
   return KG_OK;
 }
 
-/* The bounds rest on it: neighbours' distances differ by no more than the way between them. */
-static kg_status check_nodes(const reader *r, const kg_grid *grid)
+/* The centers say which blocks have nodes. */
+static kg_status read_values(reader *r, kg_grid *grid, int count)
 {
   const grid_view *g = &grid->view;
-  const size_t step[3] = {1, (size_t)g->n[0], (size_t)g->n[0] * (size_t)g->n[1]};
-  const double most = g->spacing * (1.0 + 1e-6) + 2.0 * grid->slack;
-  size_t at = 0;
-  for (int k = 0; k < g->n[2]; k++) {
-    for (int j = 0; j < g->n[1]; j++) {
-      for (int i = 0; i < g->n[0]; i++, at++) {
-        const float *v = g->node + 4 * at;
-        const double size2 =
-          (double)v[1] * (double)v[1] + (double)v[2] * (double)v[2] + (double)v[3] * (double)v[3];
-        if (!(fabs((double)v[0]) < 1e18) || !(size2 < 1.0 + 1e-4)) {
-          return REFUSE(r, "byte %zu: node (%d, %d, %d) is not a value and gradient of a distance",
-                        HEADER + NODE * at, i, j, k);
-        }
-        const bool has_next[3] = {i + 1 < g->n[0], j + 1 < g->n[1], k + 1 < g->n[2]};
-        for (int axis = 0; axis < 3; axis++) {
-          if (!has_next[axis]) continue;
-          const double a = (double)v[0], b = (double)g->node[4 * (at + step[axis])];
-          const double change = grid->is_continuous ? fabs(a - b) : fabs(fabs(a) - fabs(b));
-          if (!(change <= most)) {
-            return REFUSE(r, "byte %zu: node (%d, %d, %d) and the next differ by %g m over %g m",
-                          HEADER + NODE * at, i, j, k, change, g->spacing);
-          }
+  kg_status status = read_nodes(r, grid_centers(grid), grid_block_total(g), HEADER);
+  if (status != KG_OK) return status;
+  if (grid_choose_blocks(grid) != count) {
+    return REFUSE(r, "byte 60: %d blocks with nodes, the distances at their centers say %d", count,
+                  g->count);
+  }
+  status = grid_allocate_nodes(grid, r->error);
+  for (int block = 0; block < count && status == KG_OK; block++) {
+    float *node = grid_nodes(grid) + 4 * grid_node_at(block, 0, 0, 0);
+    status = read_nodes(r, node, GRID_BLOCK_NODES, byte_of(g, block, 0, 0, 0));
+  }
+  return status == KG_OK ? read_checksum(r, g) : status;
+}
+
+static bool is_value(const float *v)
+{
+  const double size2 =
+    (double)v[1] * (double)v[1] + (double)v[2] * (double)v[2] + (double)v[3] * (double)v[3];
+  return fabs((double)v[0]) < 1e18 && size2 < 1.0 + 1e-4;
+}
+
+/* The bounds rest on it: distances differ by no more than the way between them. */
+static kg_status check_change(const reader *r, const kg_grid *grid, const float *a, const float *b,
+                              double way, size_t byte)
+{
+  const double u = (double)*a, v = (double)*b;
+  const double change = grid->is_continuous ? fabs(u - v) : fabs(fabs(u) - fabs(v));
+  if (change <= way * (1.0 + 1e-6) + 2.0 * grid->slack) return KG_OK;
+  return REFUSE(r, "byte %zu: this distance and the next differ by %g m over %g m", byte, change,
+                way);
+}
+
+/* A node against the block's center and the ones before it in the block. */
+static kg_status check_node(const reader *r, const kg_grid *grid, const int block[3],
+                            const int at[3])
+{
+  const grid_view *g = &grid->view;
+  const size_t center = grid_block_at(g, block[0], block[1], block[2]);
+  const size_t step[3] = {1, GRID_ROW, GRID_SLICE};
+  const int number = g->block[center];
+  const size_t node = grid_node_at(number, at[0], at[1], at[2]);
+  const size_t byte = byte_of(g, number, at[0], at[1], at[2]);
+  const float *v = g->node + 4 * node;
+  if (!is_value(v)) {
+    return REFUSE(r, "byte %zu: not a value and gradient of a distance", byte);
+  }
+  const kg_vec3 x = grid_place(g, GRID_SIDE * block[0] + at[0], GRID_SIDE * block[1] + at[1],
+                               GRID_SIDE * block[2] + at[2]);
+  const kg_vec3 to = kg_vec3_sub(grid_center_place(g, block[0], block[1], block[2]), x);
+  kg_status status = check_change(r, grid, v, g->center + 4 * center, kg_vec3_norm(to), byte);
+  for (int axis = 0; axis < 3 && status == KG_OK; axis++) {
+    if (at[axis] > 0) {
+      status = check_change(r, grid, v, g->node + 4 * (node - step[axis]), g->spacing, byte);
+    }
+  }
+  return status;
+}
+
+/* the block's last node along an axis that the grid has */
+static int last_node(const grid_view *g, int axis, int block)
+{
+  const int left = g->n[axis] - 1 - GRID_SIDE * block;
+  return left < GRID_SIDE ? left : GRID_SIDE;
+}
+
+/* A node that another block holds too is the same there: the interpolant is C1 across them. */
+static kg_status check_shared(const reader *r, const grid_view *g, const int block[3],
+                              const int at[3])
+{
+  const int number = g->block[grid_block_at(g, block[0], block[1], block[2])];
+  const float *v = g->node + 4 * grid_node_at(number, at[0], at[1], at[2]);
+  for (int side = 0; side < 27; side++) { /* blocks around this one, and itself */
+    const int step[3] = {side % 3 - 1, side / 3 % 3 - 1, side / 9 - 1};
+    int other[3], local[3];
+    bool holds = true;
+    for (int axis = 0; axis < 3; axis++) {
+      other[axis] = block[axis] + step[axis];
+      local[axis] = at[axis] - GRID_SIDE * step[axis];
+      holds = holds && other[axis] >= 0 && other[axis] < g->blocks[axis] && local[axis] >= 0 &&
+              local[axis] <= GRID_SIDE;
+    }
+    const int there = holds ? g->block[grid_block_at(g, other[0], other[1], other[2])] : -1;
+    if (there >= 0 && memcmp(v, g->node + 4 * grid_node_at(there, local[0], local[1], local[2]),
+                             4 * sizeof *v) != 0) {
+      return REFUSE(r, "byte %zu: a node differs from the same one in another block",
+                    byte_of(g, number, at[0], at[1], at[2]));
+    }
+  }
+  return KG_OK;
+}
+
+static kg_status check_block(const reader *r, const kg_grid *grid, const int block[3])
+{
+  const grid_view *g = &grid->view;
+  const int last[3] = {last_node(g, 0, block[0]), last_node(g, 1, block[1]),
+                       last_node(g, 2, block[2])};
+  kg_status status = KG_OK;
+  for (int k = 0; k <= last[2]; k++) {
+    for (int j = 0; j <= last[1]; j++) {
+      for (int i = 0; i <= last[0] && status == KG_OK; i++) {
+        const int at[3] = {i, j, k};
+        status = check_node(r, grid, block, at);
+        if (status == KG_OK) status = check_shared(r, g, block, at);
+      }
+    }
+  }
+  return status;
+}
+
+static kg_status check_center(const reader *r, const kg_grid *grid, const int block[3])
+{
+  const grid_view *g = &grid->view;
+  const size_t at = grid_block_at(g, block[0], block[1], block[2]);
+  const size_t step[3] = {1, (size_t)g->blocks[0], (size_t)g->blocks[0] * (size_t)g->blocks[1]};
+  const size_t byte = HEADER + NODE * at;
+  const float *v = g->center + 4 * at;
+  if (!is_value(v)) {
+    return REFUSE(r, "byte %zu: not a value and gradient of a distance", byte);
+  }
+  kg_status status = KG_OK;
+  for (int axis = 0; axis < 3 && status == KG_OK; axis++) {
+    if (block[axis] > 0) {
+      status =
+        check_change(r, grid, v, g->center + 4 * (at - step[axis]), GRID_SIDE * g->spacing, byte);
+    }
+  }
+  return status;
+}
+
+static kg_status check_values(const reader *r, const kg_grid *grid)
+{
+  const grid_view *g = &grid->view;
+  kg_status status = KG_OK;
+  for (int k = 0; k < g->blocks[2]; k++) {
+    for (int j = 0; j < g->blocks[1]; j++) {
+      for (int i = 0; i < g->blocks[0] && status == KG_OK; i++) {
+        const int block[3] = {i, j, k};
+        status = check_center(r, grid, block);
+        if (status == KG_OK && g->block[grid_block_at(g, i, j, k)] >= 0) {
+          status = check_block(r, grid, block);
         }
       }
     }
   }
-  return KG_OK;
+  return status;
 }
 
-/* some nodes, spread over the grid */
+static kg_status check_asked(const reader *r, const kg_grid *grid, kg_vec3 x, const float *node,
+                             size_t byte)
+{
+  const double asked = grid_ask(&grid->source, x).distance, stored = (double)*node;
+  if (fabs(asked - stored) <= 2.0 * grid->slack + 1e-6 * fabs(asked)) return KG_OK;
+  return REFUSE(r, "byte %zu: a distance of %g m, the source has %g m: a grid of something else",
+                byte, stored, asked);
+}
+
+/* some centers, spread over the grid, and the first node of their blocks */
 static kg_status check_source(const reader *r, const kg_grid *grid)
 {
   enum { SAMPLES = 64 };
   const grid_view *g = &grid->view;
-  const size_t total = node_total(g->n);
-  for (size_t s = 0; s < SAMPLES; s++) {
+  const size_t total = grid_block_total(g);
+  kg_status status = KG_OK;
+  for (size_t s = 0; s < SAMPLES && status == KG_OK; s++) {
     const size_t at = s * (total - 1) / (SAMPLES - 1);
-    const size_t row = (size_t)g->n[0], slice = row * (size_t)g->n[1];
-    const kg_vec3 x = grid_place(g, (int)(at % row), (int)(at % slice / row), (int)(at / slice));
-    const double asked = grid_ask(&grid->source, x).distance, stored = (double)g->node[4 * at];
-    if (!(fabs(asked - stored) <= 2.0 * grid->slack + 1e-6 * fabs(asked))) {
-      return REFUSE(r,
-                    "byte %zu: a distance of %g m, the source has %g m: a grid of something else",
-                    HEADER + NODE * at, stored, asked);
+    const size_t row = (size_t)g->blocks[0], slice = row * (size_t)g->blocks[1];
+    const int i = (int)(at % row), j = (int)(at % slice / row), k = (int)(at / slice);
+    status =
+      check_asked(r, grid, grid_center_place(g, i, j, k), g->center + 4 * at, HEADER + NODE * at);
+    if (status == KG_OK && g->block[at] >= 0) {
+      status = check_asked(r, grid, grid_place(g, GRID_SIDE * i, GRID_SIDE * j, GRID_SIDE * k),
+                           g->node + 4 * grid_node_at(g->block[at], 0, 0, 0),
+                           byte_of(g, g->block[at], 0, 0, 0));
     }
   }
-  return KG_OK;
+  return status;
 }
 
 static kg_status read_grid(reader *r, kg_grid **grid, const kg_grid_source *source,
@@ -288,13 +448,13 @@ static kg_status read_grid(reader *r, kg_grid **grid, const kg_grid_source *sour
   if (fread(bytes, 1, HEADER, r->file) != HEADER) return REFUSE(r, "not a grid file of kinegrad");
   r->sum = fnv(fnv_start, bytes, HEADER);
   kg_status status = check_header(r, bytes, &h);
-  if (status == KG_OK) status = check_length(r, h.n);
+  if (status == KG_OK) status = check_length(r, &h);
   if (status == KG_OK) status = grid_allocate(grid, h.lo, h.spacing, h.n, allocator, r->error);
   if (status != KG_OK) return status;
   (*grid)->is_continuous = (h.flags & FLAG_CONTINUOUS) != 0;
   (*grid)->has_closest = (h.flags & FLAG_CLOSEST) != 0;
-  status = read_nodes(r, *grid);
-  if (status == KG_OK) status = check_nodes(r, *grid);
+  status = read_values(r, *grid, h.count);
+  if (status == KG_OK) status = check_values(r, *grid);
   if (status == KG_OK && source) {
     (*grid)->source = *source;
     status = check_source(r, *grid);

@@ -9,6 +9,8 @@
 /* share of the box's diagonal that rounding can add to a node's value */
 #define GRID_SLACK 1e-6
 
+enum { GRID_BAND = 2 }; /* spacings */
+
 struct kg_grid {
   kg_arena arena;
   const kg_grid_kernels *kernels;
@@ -20,11 +22,20 @@ struct kg_grid {
   bool has_closest;   /* x - Phi n is a point of the surface at every node                    */
 };
 
-/* A grid without values. NULL and a status when memory is refused. */
+/* A grid without values, and without nodes. NULL and a status when memory is refused. */
 kg_status grid_allocate(kg_grid **grid, kg_vec3 lo, double spacing, const int n[3],
                         const kg_allocator *allocator, kg_error *error);
+float *grid_centers(kg_grid *grid);
+size_t grid_block_total(const grid_view *view);
+/* The values of the centers are set: says which blocks have nodes, those that can hold a point within
+ * GRID_BAND spacings of the surface, and how many they are. */
+int grid_choose_blocks(kg_grid *grid);
+/* Memory for their nodes, all zero. */
+kg_status grid_allocate_nodes(kg_grid *grid, kg_error *error);
 float *grid_nodes(kg_grid *grid);
 kg_vec3 grid_place(const grid_view *view, int i, int j, int k);
+/* of a block; of one that stands out of the box, the nearest point of the box */
+kg_vec3 grid_center_place(const grid_view *view, int i, int j, int k);
 /* Neighbours can be told apart: a spacing of a billionth of the coordinates or more. */
 bool grid_is_fine(kg_vec3 lo, double spacing, const int n[3]);
 /* the source's value; there is one */

@@ -1,7 +1,9 @@
 /* kinegrad/grid.h - a signed distance field sampled on a grid: to cull, to draw, to look up often.
  *
- * Every node holds value and gradient of the field, floats; between them a C1 interpolant with its
- * exact gradient. A grid is never the last word on contact: its error near the surface is about a
+ * Nodes near to the surface hold value and gradient of the field, floats; between them a C1 interpolant
+ * with its exact gradient. They come in blocks of 4 x 4 x 4 cells: every point of the box within two
+ * spacings of the surface is in a block with nodes. The other blocks hold the field at their center,
+ * which is enough for bounds; there, as outside of the box, distances are asked of the source. A grid is never the last word on contact: its error near the surface is about a
  * hundredth of the spacing on smooth parts and grows to a third of it at sharp edges. Ask
  * kg_grid_lower_bound or kg_grid_distance_within, which are certain, and the field itself where it
  * matters. Theory and figures: docs/theory/sdf.md, docs/design/008-grid.md. */
@@ -23,7 +25,7 @@ typedef struct kg_grid kg_grid;
  * several threads at once when a grid is built with more than one. */
 typedef kg_sdf_value kg_sdf_fn(kg_vec3 x, void *user);
 
-/* What a grid samples and asks outside of its box: a mesh, or a field with its user pointer. Borrowed:
+/* What a grid samples, and asks outside of its box and in blocks without nodes: a mesh, or a field with its user pointer. Borrowed:
  * must outlive the grid. */
 typedef struct kg_grid_source {
   const kg_mesh *mesh;
@@ -49,10 +51,11 @@ KG_API kg_grid_def kg_grid_mesh_def(const kg_mesh *mesh, int nodes);
 KG_API kg_grid_def kg_grid_field_def(kg_sdf_fn *field, void *user, kg_vec3 lo, kg_vec3 hi,
                                      int nodes);
 
-/* 16 bytes a node, and while building from a mesh 150 a triangle.
- * Of a mesh every node's value is the distance to a triangle that is the nearest one but for 1e-6 of
+/* 2 KB a block near to the surface, 20 bytes every other; while building from a mesh 150 a triangle.
+ * Of a mesh every value is the distance to a triangle that is the nearest one but for 1e-6 of
  * the box's diagonal, in double; of a field what it returns.
- * KG_ERR_UNDEFINED: the field is not finite at a node. KG_ERR_UNSUPPORTED: 2^31 nodes or more. */
+ * KG_ERR_UNDEFINED: the field is not finite at a node or center. KG_ERR_UNSUPPORTED: n of
+ * kg_grid_info would multiply to 2^31 or more. */
 KG_API KG_MUST_USE kg_status kg_grid_create(kg_grid **grid, const kg_grid_def *def,
                                             kg_error *error);
 KG_API void kg_grid_destroy(kg_grid *grid);
@@ -61,7 +64,8 @@ typedef struct kg_grid_info {
   kg_vec3 lo, hi; /* of the nodes, m */
   double spacing;
   int n[3]; /* nodes along x, y, z                                                             */
-  double slack; /* m: what rounding can add to the values of the nodes; part of every bound       */
+  double
+    slack; /* m: what rounding can add to the values that are held; part of every bound       */
 } kg_grid_info;
 
 KG_API kg_grid_info kg_grid_describe(const kg_grid *grid);
@@ -72,18 +76,20 @@ typedef struct kg_grid_value {
   double distance;  /* m                                                                 */
   kg_vec3 gradient; /* of the interpolant, not quite a unit vector                       */
   double error;     /* m: |distance - Phi(x)| is not larger; of the order of the spacing */
-  bool is_exact;    /* asked of the source: x is outside of the box                      */
+  bool is_exact;    /* asked of the source                                               */
 } kg_grid_value;
 
-/* Outside of the box the source is asked; a grid that was loaded without one answers there with the
- * value at the nearest point of the box plus the way to it, and says so in `error`.
- * `error` is from what is known of the eight nodes around x, see docs/theory/sdf.md. */
+/* Outside of the box and in blocks without nodes the source is asked; where they meet blocks with nodes
+ * the distance jumps by the interpolant's error. A grid that was loaded without source answers in such a
+ * block by the plane through its center, outside of the box with the value at the nearest point of the
+ * box plus the way to it, and says so in `error`.
+ * `error` is from what is known of the eight nodes around x, or the center: docs/theory/sdf.md. */
 KG_API kg_grid_value kg_grid_distance(const kg_grid *grid, kg_vec3 x);
 /* distance[i] and gradient[i] at x[i], i < count, without bounds of the error. */
 KG_API void kg_grid_distance_many(const kg_grid *grid, int count, const kg_vec3 *x,
                                   double *distance, kg_vec3 *gradient);
 
-/* |Phi(x)| is at least this: the nearest node's value less the way to it; 0 when that says nothing.
+/* |Phi(x)| is at least this: the nearest node's or center's value less the way to it; 0 when that says nothing.
  * Everywhere, with or without a source. */
 KG_API double kg_grid_lower_bound(const kg_grid *grid, kg_vec3 x);
 /* False when |Phi(x)| >= limit, which the grid often shows without asking the source; else true and
@@ -95,9 +101,10 @@ KG_API bool kg_grid_distance_within(const kg_grid *grid, kg_vec3 x, double limit
 
 /* KG_ERR_WRITE. An existing file is replaced only when the new one is complete. */
 KG_API KG_MUST_USE kg_status kg_grid_save(const kg_grid *grid, const char *path, kg_error *error);
-/* source: what to ask outside of the box, NULL for nothing; compared with the file at some nodes.
+/* source: what to ask where the grid does not know, NULL for nothing; compared with the file at some
+ * centers and nodes.
  * KG_ERR_READ: no such file. KG_ERR_FORMAT: not such a file, damaged, not a distance field, or not of
- * this source; the byte is in the text. KG_ERR_UNSUPPORTED: a newer version. */
+ * this source; the byte is in the text. KG_ERR_UNSUPPORTED: another version. */
 KG_API KG_MUST_USE kg_status kg_grid_load(kg_grid **grid, const char *path,
                                           const kg_grid_source *source,
                                           const kg_allocator *allocator, kg_error *error);

@@ -49,6 +49,7 @@ static inline bool locate(double offset, double inverse, int n, int *cell, float
   return true;
 }
 
+/* false: not in a block with nodes */
 static inline bool find_place(const grid_view *g, double inverse, kg_vec3 x, place *out)
 {
   int i, j, k;
@@ -58,7 +59,10 @@ static inline bool find_place(const grid_view *g, double inverse, kg_vec3 x, pla
       !locate(x.z - g->lo.z, inverse, g->n[2], &k, &t[2])) {
     return false;
   }
-  out->node = ((size_t)k * (size_t)g->n[1] + (size_t)j) * (size_t)g->n[0] + (size_t)i;
+  const int mask = GRID_SIDE - 1; /* no index is negative, which / and % would allow for */
+  const int block = g->block[grid_block_at(g, i >> GRID_SHIFT, j >> GRID_SHIFT, k >> GRID_SHIFT)];
+  if (block < 0) return false;
+  out->node = grid_node_at(block, i & mask, j & mask, k & mask);
   out->t = (v4){t[0], t[1], t[2], 0.0f};
   return true;
 }
@@ -79,6 +83,8 @@ static inline v4 sums(v4 a, v4 b, v4 c, v4 d)
     __builtin_shufflevector(c, d, 0, 4, 1, 5) + __builtin_shufflevector(c, d, 2, 6, 3, 7);
   return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
 }
+
+enum { ROW = 4 * GRID_ROW, SLICE = 4 * GRID_SLICE }; /* floats */
 
 /* What depends on the spacing only. */
 typedef struct constants {
@@ -108,10 +114,9 @@ static inline v4 folded(v8 a)
 /* value and gradient */
 static inline v4 interpolate_one(const grid_view *g, const place *p, const constants *c)
 {
-  const size_t row = 4 * (size_t)g->n[0], slice = row * (size_t)g->n[1];
   const float *at = g->node + 4 * p->node;
-  const v8 r00 = load8(at), r10 = load8(at + row); /* y, z: 0 or 1 */
-  const v8 r01 = load8(at + slice), r11 = load8(at + slice + row);
+  const v8 r00 = load8(at), r10 = load8(at + ROW); /* y, z: 0 or 1 */
+  const v8 r01 = load8(at + SLICE), r11 = load8(at + SLICE + ROW);
 
   const v4 t = p->t, s = 1.0f - t, ss = s * s, tt = t * t, ts = t * s;
   const v4 A0 = (1.0f + 2.0f * t) * ss, A1 = (3.0f - 2.0f * t) * tt;
@@ -137,7 +142,6 @@ static inline v4 interpolate_one(const grid_view *g, const place *p, const const
 static void interpolate(const grid_view *g, int count, const kg_vec3 *x, double *distance,
                         kg_vec3 *gradient, bool *inside)
 {
-  const size_t row = 4 * (size_t)g->n[0], slice = row * (size_t)g->n[1];
   const double inverse = 1.0 / g->spacing;
   const constants c = {(float)g->spacing, (float)inverse};
   place ring[AHEAD];
@@ -150,10 +154,11 @@ static void interpolate(const grid_view *g, int count, const kg_vec3 *x, double 
     }
     if (i < count && (inside[i] = find_place(g, inverse, x[i], p))) {
       const float *at = g->node + 4 * p->node;
-      __builtin_prefetch(at);
-      __builtin_prefetch(at + row);
-      __builtin_prefetch(at + slice);
-      __builtin_prefetch(at + slice + row);
+      __builtin_prefetch(
+        at); /* the rows at both ends in y: their first or last number, as lines go */
+      __builtin_prefetch(at + ROW + 7);
+      __builtin_prefetch(at + SLICE);
+      __builtin_prefetch(at + SLICE + ROW + 7);
     }
   }
 }

@@ -5,13 +5,40 @@
 #include "kinegrad/vec3.h"
 #include "sdf/boxes.h"
 
-/* Nodes of a grid: value and gradient of the field, x first, then y, then z. */
+/* Blocks of SIDE^3 cells. Each holds the nodes on its faces itself: a cell's eight are near to each
+ * other, on one page of memory. */
+enum {
+  GRID_SHIFT = 2,
+  GRID_SIDE = 1 << GRID_SHIFT,
+  GRID_ROW = GRID_SIDE + 1,
+  GRID_SLICE = GRID_ROW * GRID_ROW,
+  GRID_BLOCK_NODES = GRID_SLICE * GRID_ROW,
+  GRID_BLOCK_STRIDE = 128 /* nodes: 2048 bytes */
+};
+
+/* A node, or a block's center: value and gradient of the field. All of them x first, then y, then z.
+ * Nodes of a block beyond the last of the grid are zero. */
 typedef struct grid_view {
-  kg_vec3 lo;        /* of node 0                        */
-  double spacing;    /* m                                */
-  int n[3];          /* nodes along x, y, z, two or more */
-  const float *node; /* (n[2], n[1], n[0], 4)            */
+  kg_vec3 lo;          /* of node 0                                                    */
+  double spacing;      /* m                                                            */
+  int n[3];            /* nodes along x, y, z, two or more                             */
+  int blocks[3];       /* that cover the cells; the last ones may stand out of them    */
+  const float *center; /* (blocks[2], blocks[1], blocks[0], 4)                         */
+  const int *block;    /* (blocks[2], blocks[1], blocks[0]): its place in node, or -1  */
+  const float *node;   /* (count, GRID_BLOCK_STRIDE, 4), of blocks near to the surface */
+  int count;
 } grid_view;
+
+static inline size_t grid_block_at(const grid_view *g, int i, int j, int k)
+{
+  return ((size_t)k * (size_t)g->blocks[1] + (size_t)j) * (size_t)g->blocks[0] + (size_t)i;
+}
+
+/* of a block that has nodes; i, j, k from its first one, up to GRID_SIDE */
+static inline size_t grid_node_at(int block, int i, int j, int k)
+{
+  return (size_t)block * GRID_BLOCK_STRIDE + (size_t)(k * GRID_SLICE + j * GRID_ROW + i);
+}
 
 /* A triangle in the grid's coordinates (from its node 0): edges u = b - a, v = c - a, w = c - b, unit
  * normal n, and for each edge the unit vector m in the plane across it, inwards. */
@@ -39,7 +66,8 @@ typedef struct grid_packet {
 } grid_packet;
 
 typedef struct kg_grid_kernels {
-  /* distance[i], gradient[i] of the interpolant at x[i]; false and neither outside of the grid */
+  /* distance[i], gradient[i] of the interpolant at x[i]; false and neither outside of the grid and
+   * in blocks without nodes */
   void (*interpolate)(const grid_view *grid, int count, const kg_vec3 *x, double *distance,
                       kg_vec3 *gradient, bool *inside);
   /* The nearest of all triangles for each node, but for rounding in floats. */
