@@ -719,7 +719,7 @@ static const cli_option method_options[] = {
    .offset = offsetof(correct_values, with)},
   {.name = "self",
    .kind = CLI_FLAG,
-   .summary = "tells how deep the body's own arms, legs and trunk are in each other",
+   .summary = "the body's own arms, legs and trunk are in each other's way",
    .details =
      "Points of a segment are held against the shapes of segments three joints away or "
      "more, as far as these do not overlap in the skeleton's rest pose. The report has the "

@@ -24,9 +24,10 @@ kg_correction_def kg_correction_default_def(const kg_body *body, const kg_scene 
 static void allocate(kg_correction *c, kg_arena *arena)
 {
   const kg_body *body = c->def.body;
-  const int n = body->segment_count, nv = body->nv, K = body->point_count;
+  const int n = body->segment_count, nv = body->nv;
   const size_t square = (size_t)nv * (size_t)nv;
-  const int rows = K < CORRECTION_ROWS_MAX ? K : CORRECTION_ROWS_MAX;
+  const int keys = c->key_count;
+  const int rows = keys < CORRECTION_ROWS_MAX ? keys : CORRECTION_ROWS_MAX;
   c->p = KG_ARENA_ARRAY(arena, kg_vec3, n);
   c->R = KG_ARENA_ARRAY(arena, kg_mat3, n);
   c->Jr = KG_ARENA_ARRAY(arena, kg_mat3, n);
@@ -35,7 +36,7 @@ static void allocate(kg_correction *c, kg_arena *arena)
   c->f = KG_ARENA_ARRAY(arena, kg_vec3, n);
   c->moment = KG_ARENA_ARRAY(arena, kg_vec3, n);
   c->virial = KG_ARENA_ARRAY(arena, kg_mat3, n);
-  c->multiplier = KG_ARENA_ARRAY(arena, double, K);
+  c->multiplier = KG_ARENA_ARRAY(arena, double, keys);
   c->q0 = KG_ARENA_ARRAY(arena, double, body->nq);
   c->q_now = KG_ARENA_ARRAY(arena, double, body->nq);
   c->q_from = KG_ARENA_ARRAY(arena, double, body->nq);
@@ -47,7 +48,7 @@ static void allocate(kg_correction *c, kg_arena *arena)
   c->slope = KG_ARENA_ARRAY(arena, double, nv);
   c->chol = KG_ARENA_ARRAY(arena, double, square);
   c->M = KG_ARENA_ARRAY(arena, double, square);
-  c->point_of_row = KG_ARENA_ARRAY(arena, int, rows);
+  c->key_of_row = KG_ARENA_ARRAY(arena, int, rows);
   c->touch_of_row = KG_ARENA_ARRAY(arena, int, rows);
   c->G = KG_ARENA_ARRAY(arena, double, (size_t)rows *(size_t)nv);
   c->C = KG_ARENA_ARRAY(arena, double, square);
@@ -71,11 +72,16 @@ kg_status kg_correction_create(kg_correction **correction, const kg_correction_d
   if (!c) return KG_ERR_NO_MEMORY;
   c->def = *def;
   c->nv = def->body->nv;
-  c->point_count = def->body->point_count;
+  c->key_count = (def->self ? 2 : 1) * def->body->point_count;
   allocate(c, &arena);
   c->arena = arena;
-  if (kg_arena_failed(&arena) ||
-      kg_dynamics_create(&c->dynamics, def->body, def->allocator) != KG_OK) {
+  kg_status status = kg_arena_failed(&arena) ? KG_ERR_NO_MEMORY : KG_OK;
+  if (status == KG_OK && def->self) {
+    status = kg_self_create(&c->self, def->body, NULL, def->allocator);
+  }
+  if (status == KG_OK) status = kg_dynamics_create(&c->dynamics, def->body, def->allocator);
+  if (status != KG_OK) {
+    kg_self_destroy(c->self);
     kg_arena_release(&arena);
     return KG_ERR_NO_MEMORY;
   }
@@ -88,6 +94,7 @@ void kg_correction_destroy(kg_correction *correction)
 {
   if (correction) {
     kg_dynamics_destroy(correction->dynamics);
+    kg_self_destroy(correction->self);
     kg_arena arena = correction->arena; /* the object lives in its own arena */
     kg_arena_release(&arena);
   }
@@ -165,7 +172,7 @@ static int stop_inward_motion(kg_correction *c, const double *q, double *v)
   int touching = 0;
   for (int k = 0; k < c->touch_count; k++) {
     const touch *t = &c->touches[k];
-    const double reach = c->multiplier[t->point] > 0.0 ? CORRECTION_GAP_MAX : c->def.tolerance;
+    const double reach = c->multiplier[t->key] > 0.0 ? CORRECTION_GAP_MAX : c->def.tolerance;
     if (!(t->at.distance <= reach)) continue;
     touching++;
     if (!v || c->rows == c->solver.rows_max) continue;
@@ -230,7 +237,7 @@ static void find_move(kg_correction *c, int *iterations)
 {
   const size_t bytes = (size_t)c->nv * sizeof *c->D;
   memset(c->D, 0, bytes);
-  memset(c->multiplier, 0, (size_t)c->point_count * sizeof *c->multiplier);
+  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   if (c->def.method == KG_CORRECTION_GRADIENT) {
     correction_descend(c, iterations);
     kg_body_difference(c->def.body, c->D, c->q_now, c->q0);
@@ -240,6 +247,13 @@ static void find_move(kg_correction *c, int *iterations)
   if (settle(c, iterations)) return;
   memset(c->D, 0, bytes);
   correction_go_to(c, c->D);
+  /* between two segments of the body the gradients hold each other; the second order sees past them */
+  if (c->self && c->def.method == KG_CORRECTION_GRADIENT) {
+    memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
+    if (settle(c, iterations)) return;
+    memset(c->D, 0, bytes);
+    correction_go_to(c, c->D);
+  }
   correction_descend(c, iterations);
   if (c->d_pen > 0.9 * c->def.tolerance) {
     escape(c, iterations);
@@ -301,7 +315,7 @@ double kg_correction_step(kg_correction *correction, double *q)
   memcpy(c->q0, q, nq_bytes);
   memcpy(c->q_now, q, nq_bytes);
   memset(c->D, 0, (size_t)c->nv * sizeof *c->D);
-  memset(c->multiplier, 0, (size_t)c->point_count * sizeof *c->multiplier);
+  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   correction_factor_mass(c, c->q0);
   correction_sample(c, q);
   if (c->def.method == KG_CORRECTION_GRADIENT) {

@@ -5,7 +5,8 @@
  *   q0, q    pose at the start and now, q = q0 (+) D
  *   x_t      sample point of touch t in the world      Phi_t, n_t, H_t   distance and derivatives
  *   M        mass matrix at q0, M = L L'               m                 total mass
- *   g_t      = d Phi_t / d(tangent) = J_t' n_t
+ *   g_t      = d Phi_t / d(tangent) = J_t' n_t, and (J_t - J_o)' n_t against another segment o of the
+ *              body, J_o that of its point at x_t
  *
  * Equation numbers: docs/theory/sdf.md. */
 #ifndef PHYSICS_CORRECTION_H
@@ -13,6 +14,7 @@
 
 #include "kinegrad/arena.h"
 #include "kinegrad/correction.h"
+#include "kinegrad/self.h"
 #include "physics/near_points.h"
 #include "physics/physics.h"
 #include "solver/least_move.h"
@@ -33,8 +35,10 @@ enum { CORRECTION_ROWS_MAX = 256 };
 /* A point that is inside or near. */
 typedef struct touch {
   int point;
+  int key;   /* of its multiplier: point, or point + number of points against the body itself */
+  int other; /* segment of the body that is touched, -1: the scene                            */
   kg_vec3 x;
-  kg_sdf_value at;
+  kg_sdf_value at; /* no second derivatives against the body itself */
 } touch;
 
 /* What correction_vjp.c keeps from prepare to pull. */
@@ -55,16 +59,18 @@ struct kg_correction {
   kg_correction_def def;
   kg_arena arena;
   kg_dynamics *dynamics;
-  int nv, point_count;
+  int nv, key_count;
 
   near_points near_points;
+  kg_self *self;               /* NULL: the body is not in its own way */
+  kg_self_touch *self_touches; /* (points)                             */
   kg_scene_hint *hints; /* (points) of the pose before */
 
   /* the last pose sampled */
   kg_vec3 *p;     /* (n) joints                   */
   kg_mat3 *R;     /* (n) rotations                */
   kg_mat3 *Jr;    /* (n) right Jacobians at D     */
-  touch *touches; /* (points) those nearer than d_pen + near, and a few more */
+  touch *touches; /* (keys) those nearer than d_pen + near, and a few more */
   int touch_count;
   double near; /* points further than d_pen + near are no touches */
   double d_pen, sum_depth, L_coll, lowest;
@@ -78,10 +84,10 @@ struct kg_correction {
 
   /* the linearised constraints */
   int rows;
-  int *touch_of_row, *point_of_row; /* (rows)                                         */
+  int *touch_of_row, *key_of_row; /* (rows)                                           */
   double *G, *b, *lambda;           /* (rows, nv), (rows), (rows)                      */
   double *phi;                      /* (rows) Phi where linearised                    */
-  double *multiplier;               /* (points) of the last solution, by point        */
+  double *multiplier;               /* (keys) of the last solution                    */
   double *C, *W;                    /* (nv, nv) sum of lambda Hess Phi; model's factor */
   double *center;                   /* (nv) minimum of the model without constraints  */
   least_move solver;
@@ -97,8 +103,8 @@ struct kg_correction {
 void correction_pose_init(kg_correction *c, kg_arena *arena);
 /* p, R, touches, d_pen, sum_depth, L_coll, lowest of a pose. A NaN anywhere makes d_pen NaN. */
 void correction_sample(kg_correction *c, const double *q);
-/* The same for the pose already sampled, carried by `shift` as a whole: touches are of the shifted
- * pose, p stays. */
+/* The same for the pose already sampled, carried by `shift` as a whole, against the scene alone: touches
+ * are of the shifted pose, p stays. */
 void correction_measure(kg_correction *c, kg_vec3 shift);
 /* q_now = q0 (+) D, sampled */
 void correction_go_to(kg_correction *c, const double *D);
@@ -110,7 +116,7 @@ void correction_row(const kg_correction *c, const touch *t, double *row);
 void correction_tangents(kg_correction *c, const double *D);
 /* A derivative by the tangent of the pose sampled made one by D. */
 void correction_to_move(const kg_correction *c, double *row);
-/* C[nv*nv] = sum over touches of multiplier Hess_D Phi, at D = c->D, which is sampled, with
+/* C[nv*nv] = sum over touches of the scene of multiplier Hess_D Phi, at D = c->D, which is sampled, with
  * correction_tangents done. */
 void correction_curvature(kg_correction *c, const double *multiplier, double *C);
 /* a' M b */

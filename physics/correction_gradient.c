@@ -5,6 +5,13 @@
 
 #include <string.h>
 
+/* of the segment's point at x */
+static kg_vec3 rate_at(const kg_correction *c, int segment, kg_vec3 x)
+{
+  const kg_vec3 arm = kg_vec3_sub(x, c->p[segment]);
+  return kg_vec3_add(c->p_dot[segment], kg_vec3_cross(c->w[segment], arm));
+}
+
 /* slope' H slope with the Gauss-Newton Hessian of L_coll, 2 sum (n_k' J_k slope)^2 over the points
  * inside: from the velocities the points have when the pose moves at the rate `slope` */
 static double curvature(kg_correction *c)
@@ -24,9 +31,8 @@ static double curvature(kg_correction *c)
   for (int k = 0; k < c->touch_count; k++) {
     const touch *t = &c->touches[k];
     if (!(t->at.distance < 0.0)) continue;
-    const int i = body->points[t->point].segment;
-    const kg_vec3 rate =
-      kg_vec3_add(c->p_dot[i], kg_vec3_cross(c->w[i], kg_vec3_sub(t->x, c->p[i])));
+    kg_vec3 rate = rate_at(c, body->points[t->point].segment, t->x);
+    if (t->other >= 0) rate = kg_vec3_sub(rate, rate_at(c, t->other, t->x));
     const double phi_rate = kg_vec3_dot(t->at.normal, rate);
     sum += 2.0 * phi_rate * phi_rate;
   }

@@ -68,7 +68,7 @@ static void linearise(kg_correction *c)
     correction_row(c, t, row_at(c, c->rows));
     correction_to_move(c, row_at(c, c->rows));
     c->phi[c->rows] = t->at.distance;
-    c->point_of_row[c->rows++] = t->point;
+    c->key_of_row[c->rows++] = t->key;
   }
 }
 
@@ -85,7 +85,7 @@ static void set_model(kg_correction *c, double share)
 static void stiffen_rows(kg_correction *c, double weight)
 {
   for (int r = 0; r < c->rows; r++) {
-    if (!(c->multiplier[c->point_of_row[r]] > 0.0)) continue;
+    if (!(c->multiplier[c->key_of_row[r]] > 0.0)) continue;
     const double *g = row_at(c, r);
     memcpy(c->center, g, (size_t)c->nv * sizeof *g);
     kg_dense_cholesky_solve(c->chol, c->nv, c->center, 1);
@@ -104,7 +104,7 @@ static void stiffen_rows(kg_correction *c, double weight)
 static double make_model(kg_correction *c, bool stiff)
 {
   bool carries = false;
-  for (int k = 0; k < c->point_count; k++) {
+  for (int k = 0; k < c->key_count; k++) {
     carries = carries || c->multiplier[k] != 0.0;
   }
   if (carries) {
@@ -129,7 +129,7 @@ static double make_model(kg_correction *c, bool stiff)
 static void stiff_gradient(kg_correction *c, double weight, double *gradient)
 {
   for (int r = 0; r < c->rows && weight > 0.0; r++) {
-    if (!(c->multiplier[c->point_of_row[r]] > 0.0)) continue;
+    if (!(c->multiplier[c->key_of_row[r]] > 0.0)) continue;
     const double *g = row_at(c, r);
     memcpy(c->D_trial, g, (size_t)c->nv * sizeof *g);
     kg_dense_cholesky_solve(c->chol, c->nv, c->D_trial, 1);
@@ -156,9 +156,9 @@ static void solve_model(kg_correction *c, double weight)
   for (int i = 0; i < c->nv; i++) {
     c->goal[i] += c->D[i] - c->center[i];
   }
-  memset(c->multiplier, 0, (size_t)c->point_count * sizeof *c->multiplier);
+  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   for (int r = 0; r < c->rows; r++) {
-    c->multiplier[c->point_of_row[r]] = c->lambda[r];
+    c->multiplier[c->key_of_row[r]] = c->lambda[r];
   }
 }
 
@@ -268,7 +268,7 @@ static double kkt_residual(kg_correction *c)
     r[i] = correction_dot(c->M + (size_t)i * (size_t)c->nv, c->D, c->nv);
   }
   for (int k = 0; k < c->rows; k++) {
-    const double l = c->multiplier[c->point_of_row[k]];
+    const double l = c->multiplier[c->key_of_row[k]];
     miss = fmax(miss, l > 0.0 ? fabs(c->phi[k]) : -c->phi[k]);
     for (int i = 0; i < c->nv; i++) {
       r[i] -= l * row_at(c, k)[i];

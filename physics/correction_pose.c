@@ -7,10 +7,21 @@ void correction_pose_init(kg_correction *c, kg_arena *arena)
 {
   near_points_init(&c->near_points, c->def.body, arena);
   c->hints = KG_ARENA_ARRAY(arena, kg_scene_hint, c->def.body->point_count);
-  c->touches = KG_ARENA_ARRAY(arena, touch, c->def.body->point_count);
+  c->touches = KG_ARENA_ARRAY(arena, touch, c->key_count);
+  c->self_touches = KG_ARENA_ARRAY(arena, kg_self_touch, c->def.body->point_count);
 }
 
 /* ---- penetration -------------------------------------------------------------------------------*/
+
+/* A distance into the sums of the pose */
+static void count_depth(kg_correction *c, double phi)
+{
+  if (phi < 0.0) {
+    c->sum_depth -= phi;
+    c->L_coll += phi * phi;
+  }
+  c->lowest = phi < c->lowest || isnan(phi) ? phi : c->lowest;
+}
 
 static void measure_points(kg_correction *c, const segment_ball *ball, kg_vec3 shift)
 {
@@ -20,12 +31,10 @@ static void measure_points(kg_correction *c, const segment_ball *ball, kg_vec3 s
     t->point = c->near_points.points[k];
     t->x = kg_vec3_add(p, kg_mat3_mul_vec(c->R[ball->segment], c->def.body->points[t->point].p));
     t->at = kg_scene_distance_from(c->def.scene, t->x, &c->hints[t->point]);
+    t->key = t->point;
+    t->other = -1;
     const double phi = t->at.distance;
-    if (phi < 0.0) {
-      c->sum_depth -= phi;
-      c->L_coll += phi * phi;
-    }
-    c->lowest = phi < c->lowest || isnan(phi) ? phi : c->lowest;
+    count_depth(c, phi);
     if (!(phi > c->near + fmax(-c->lowest, 0.0))) c->touch_count++;
   }
 }
@@ -46,10 +55,29 @@ void correction_measure(kg_correction *c, kg_vec3 shift)
   c->d_pen = isnan(c->lowest) ? NAN : fmax(-c->lowest, 0.0);
 }
 
+/* The same of the body against itself, beside the touches of the scene */
+static void measure_self(kg_correction *c)
+{
+  const int points = c->def.body->point_count;
+  const int count =
+    kg_self_sample(c->self, c->p, c->R, c->near + fmax(-c->lowest, 0.0), c->self_touches);
+  for (int k = 0; k < count; k++) {
+    const kg_self_touch *t = &c->self_touches[k];
+    c->touches[c->touch_count++] = (touch){.point = t->point,
+                                           .key = points + t->point,
+                                           .other = t->segment,
+                                           .x = t->x,
+                                           .at = {.distance = t->distance, .normal = t->normal}};
+    count_depth(c, t->distance);
+  }
+  c->d_pen = isnan(c->lowest) ? NAN : fmax(-c->lowest, 0.0);
+}
+
 void correction_sample(kg_correction *c, const double *q)
 {
   kg_dynamics_pose(c->dynamics, q, c->p, c->R);
   correction_measure(c, kg_vec3_make(0.0, 0.0, 0.0));
+  if (c->self && !isnan(c->lowest)) measure_self(c);
 }
 
 void correction_go_to(kg_correction *c, const double *D)
@@ -97,26 +125,34 @@ void correction_loss_gradient(kg_correction *c, double *gradient)
   for (int k = 0; k < c->touch_count; k++) {
     const touch *t = &c->touches[k];
     if (!(t->at.distance < 0.0)) continue;
-    add_force(c, c->def.body->points[t->point].segment, t->x,
-              kg_vec3_scale(2.0 * t->at.distance, t->at.normal));
+    const kg_vec3 f = kg_vec3_scale(2.0 * t->at.distance, t->at.normal);
+    add_force(c, c->def.body->points[t->point].segment, t->x, f);
+    if (t->other >= 0) add_force(c, t->other, t->x, kg_vec3_scale(-1.0, f));
   }
   sum_forces(c, gradient);
 }
 
-/* J' n: along the chain from the point's segment to the root */
-static void chain_row(const kg_correction *c, int segment, kg_vec3 x, kg_vec3 n, double *row)
+static void add_to3(double *row, kg_vec3 a)
 {
-  memset(row, 0, (size_t)c->nv * sizeof *row);
-  kg_store3(row, n);
+  kg_store3(row, kg_vec3_add(kg_load3(row), a));
+}
+
+/* row += J' n: along the chain from the segment of x to the root */
+static void add_chain(const kg_correction *c, int segment, kg_vec3 x, kg_vec3 n, double *row)
+{
+  add_to3(row, n);
   for (int i = segment; i >= 0; i = c->def.body->segments[i].parent) {
     const kg_vec3 moment = kg_vec3_cross(kg_vec3_sub(x, c->p[i]), n);
-    kg_store3(row + 3 + 3 * i, kg_mat3_mul_vec_t(c->R[i], moment));
+    add_to3(row + 3 + 3 * i, kg_mat3_mul_vec_t(c->R[i], moment));
   }
 }
 
 void correction_row(const kg_correction *c, const touch *t, double *row)
 {
-  chain_row(c, c->def.body->points[t->point].segment, t->x, t->at.normal, row);
+  memset(row, 0, (size_t)c->nv * sizeof *row);
+  add_chain(c, c->def.body->points[t->point].segment, t->x, t->at.normal, row);
+  /* above the joint that both segments hang from the two cancel to the last bit */
+  if (t->other >= 0) add_chain(c, t->other, t->x, kg_vec3_scale(-1.0, t->at.normal), row);
 }
 
 void correction_tangents(kg_correction *c, const double *D)
@@ -246,8 +282,8 @@ void correction_curvature(kg_correction *c, const double *multiplier, double *C)
   clear_forces(c);
   for (int k = 0; k < c->touch_count; k++) {
     const touch *t = &c->touches[k];
-    const double l = multiplier[t->point];
-    if (l == 0.0) continue;
+    const double l = multiplier[t->key];
+    if (l == 0.0 || t->other >= 0) continue;
     const int segment = c->def.body->points[t->point].segment;
     const kg_vec3 f = kg_vec3_scale(l, t->at.normal);
     add_force(c, segment, t->x, f);

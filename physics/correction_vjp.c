@@ -52,17 +52,17 @@ static bool find_multipliers(kg_correction *c)
     correction_to_move(c, row);
     c->b[c->rows] = correction_dot(row, c->D, c->nv);
     c->touch_of_row[c->rows] = k;
-    c->point_of_row[c->rows++] = t->point;
+    c->key_of_row[c->rows++] = t->key;
   }
   (void)least_move_solve(&c->solver, c->chol, c->G, c->b, c->rows, CORRECTION_ROW_TOLERANCE,
                          c->goal, c->lambda);
   for (int r = 0; r < c->rows; r++) {
     largest = fmax(largest, c->lambda[r]);
   }
-  memset(c->multiplier, 0, (size_t)c->point_count * sizeof *c->multiplier);
+  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   for (int r = 0; r < c->rows; r++) {
     const bool carries = c->lambda[r] > LEAST_MULTIPLIER * largest;
-    c->multiplier[c->point_of_row[r]] = carries ? c->lambda[r] : 0.0;
+    c->multiplier[c->key_of_row[r]] = carries ? c->lambda[r] : 0.0;
   }
   for (int i = 0; i < c->nv; i++) {
     c->goal[i] -= c->D[i];
@@ -110,7 +110,7 @@ static bool factor_system(kg_correction *c)
   int kept[CORRECTION_ROWS_MAX];
   a->count = 0;
   for (int r = 0; r < c->rows && a->count < nv; r++) {
-    if (c->multiplier[c->point_of_row[r]] > 0.0 && is_independent(c, r, a->count)) {
+    if (c->multiplier[c->key_of_row[r]] > 0.0 && is_independent(c, r, a->count)) {
       kept[a->count++] = r;
     }
   }
@@ -144,7 +144,7 @@ static void make_gamma(kg_correction *c)
   double *g = c->goal;
   memset(g, 0, (size_t)c->nv * sizeof *g);
   for (int k = 0; k < c->touch_count; k++) {
-    const double l = c->multiplier[c->touches[k].point];
+    const double l = c->multiplier[c->touches[k].key];
     if (l == 0.0) continue;
     correction_row(c, &c->touches[k], c->slope);
     for (int i = 0; i < c->nv; i++) {
@@ -157,6 +157,16 @@ static void make_gamma(kg_correction *c)
       a->gamma[(size_t)(i + k / 3) * (size_t)c->nv + (size_t)(i + k % 3)] += half.m[k];
     }
   }
+}
+
+/* Whether the body's own segments carry: their second derivatives are not at hand. */
+static bool is_held_by_itself(const kg_correction *c)
+{
+  bool held = false;
+  for (int k = c->def.body->point_count; k < c->key_count; k++) {
+    held = held || c->multiplier[k] > 0.0;
+  }
+  return held;
 }
 
 static bool is_same(const kg_body *body, const double *q, const double *r)
@@ -179,7 +189,7 @@ static bool prepare(kg_correction *c, const double *q_before, const double *q_af
   for (int i = 0; i < body->segment_count; i++) {
     a->E[i] = kg_quat_matrix(kg_quat_exp(kg_load3(c->D + 3 + 3 * i)));
   }
-  if (!find_multipliers(c)) return false;
+  if (!find_multipliers(c) || is_held_by_itself(c)) return false;
   correction_curvature(c, c->multiplier, c->C);
   if (!factor_system(c)) return false;
   make_gamma(c);

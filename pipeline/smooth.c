@@ -3,6 +3,7 @@
  * Unknown is the change D_t in R^nv of every frame, measured from the capture:
  *   min  1/2 sum_t |D_t|^2_W + tau^4/dt^4 |D_{t-1} - 2 D_t + D_{t+1}|^2_W
  *   s.t. Phi(x_k(q_t (+) D_t)) >= 0   for every point k and frame t
+ * and, where the subject's body is in its own way, the same against the segments of kinegrad/self.h.
  * W is the diagonal of the mass matrix in the first frame, light joints made heavier and the
  * root's position lighter. The second differences are why nothing
  * pops: a change is eased in and out over about tau before and after a contact.
@@ -20,8 +21,10 @@
 
 #include "kinegrad/correction.h"
 #include "kinegrad/dynamics.h"
+#include "kinegrad/self.h"
 #include "kinegrad/stage.h"
 #include "physics/near_points.h"
+#include "physics/physics.h"
 
 #include <pthread.h>
 #include <string.h>
@@ -37,7 +40,11 @@ static const double ROOT_SHARE =
 static const double DUAL_M = 2e-6; /* miss of a row at which the dual is solved  */
 static const double AIM_M = 2e-5;  /* distance asked for, above the tolerance  */
 
-/* Columns on the way of a segment to the root, the root's position first. */
+static const double LEAST_ARM_M =
+  1e-3; /* shorter ones cannot move a point out of the body itself */
+
+/* Columns on the way of a segment to the root, the root's position first; of two segments, on both
+ * ways to where they meet, which itself moves both alike. */
 typedef struct path {
   int count;
   int *column;  /* of v                                            */
@@ -47,7 +54,9 @@ typedef struct path {
 
 /* One constraint: point k in frame t. Its row is stored over the columns of its path. */
 typedef struct row {
-  int frame, point, segment;
+  int frame;
+  int key; /* point, or point + number of points against the body itself */
+  path *path;
   size_t first; /* of its entries in `entries`, in the order of the path */
   double scale; /* its bound times this is the distance, m^-1 kg^-1/2    */
   double bound; /* g D >= bound                                               */
@@ -61,15 +70,20 @@ typedef struct smoothing {
   kg_stage *stage;
   kg_correct_result *result;
   int T, nv;
-  double *D;       /* (T, nv) change                                              */
-  double *W;       /* (nv)                                                        */
-  path *paths;     /* (segments); empty where no point can be near                */
-  int *column_of;  /* (width) column of v; -1: padding                            */
-  int *compact_of; /* (nv) and back; -1: not among them                     */
-  int width;       /* columns that the rows have, padded to whole blocks    */
-  double *trial;   /* (T, width) A^-1 W^-1 G' z                                   */
+  double *D;   /* (T, nv) change                                              */
+  double *W;   /* (nv)                                                        */
+  path *paths; /* (path_count) of segments, then of pairs of them; empty where no point can be
+                      near                                                        */
+  int path_count, key_count;
+  kg_self *self;               /* NULL: the body is not in its own way */
+  kg_self_touch *self_touches; /* (points)                             */
+  int *column_of;              /* (width) column of v; -1: padding                            */
+  int *compact_of;             /* (nv) and back; -1: not among them                     */
+  int width;                   /* columns that the rows have, padded to whole blocks    */
+  double *trial;               /* (T, width) A^-1 W^-1 G' z                                   */
   near_points near;
-  double *force;       /* (T, points) y of the last linearisation, rows not normalised */
+  double *force;       /* (T, keys) y of the last linearisation, rows not normalised */
+  double *other_start; /* (MAX_THREADS, nq) of the workers at the end              */
   kg_arena row_memory; /* of rows and entries */
   row *rows;
   size_t row_count, row_room;
@@ -81,20 +95,16 @@ typedef struct smoothing {
   kg_scene_hint *hints; /* (points) of the frame before */
 } smoothing;
 
-/* n'J of a point, over the columns of its path */
-static void write_row(smoothing *s, row *r, kg_vec3 x, kg_vec3 normal)
+/* n'J of x on a segment, over the joints from there to `end`, which is left out */
+static double *write_chain(const smoothing *s, double *g, int segment, int end, kg_vec3 x,
+                           kg_vec3 normal)
 {
-  double *g = s->entries + r->first;
-  *g++ = normal.x;
-  *g++ = normal.y;
-  *g++ = normal.z;
-  for (int i = r->segment; i >= 0; i = s->body->segments[i].parent) {
+  for (int i = segment; i != end; i = s->body->segments[i].parent) {
     /* n' (R e_k x (x - p)) = e_k' R' ((x - p) x n) */
-    const kg_vec3 arm = kg_mat3_mul_vec_t(s->R[i], kg_vec3_cross(kg_vec3_sub(x, s->p[i]), normal));
-    *g++ = arm.x;
-    *g++ = arm.y;
-    *g++ = arm.z;
+    kg_store3(g, kg_mat3_mul_vec_t(s->R[i], kg_vec3_cross(kg_vec3_sub(x, s->p[i]), normal)));
+    g += 3;
   }
+  return g;
 }
 
 /* the row times numbers of its frame; over columns of v, or over the compact ones */
@@ -109,14 +119,14 @@ static double row_dot(const double *g, const int *columns, int count, const doub
 
 static double row_trial(const smoothing *s, const row *r)
 {
-  const path *p = &s->paths[r->segment];
+  const path *p = r->path;
   return row_dot(s->entries + r->first, p->compact, p->count,
                  s->trial + (size_t)r->frame * (size_t)s->width);
 }
 
 static void row_add(const smoothing *s, const row *r, double y, double *d)
 {
-  const path *p = &s->paths[r->segment];
+  const path *p = r->path;
   const double *g = s->entries + r->first;
   for (int k = 0; k < p->count; k++) {
     d[p->compact[k]] += y * g[k];
@@ -155,10 +165,25 @@ static bool has_room(smoothing *s, size_t entries)
   return !kg_arena_failed(&s->row_memory);
 }
 
+/* The row of frame t whose entries are written, behind the others. */
+static void add_row(smoothing *s, int t, int key, path *p, double distance)
+{
+  const double *D = s->D + (size_t)t * (size_t)s->nv;
+  const size_t first = s->entry_count;
+  s->rows[s->row_count++] = (row){
+    .frame = t,
+    .key = key,
+    .path = p,
+    .first = first,
+    .bound = AIM_M - distance + row_dot(s->entries + first, p->column, p->count, D),
+  };
+  s->entry_count += (size_t)p->count;
+}
+
 static void pass_point(smoothing *s, int t, int k, bool *low)
 {
   const kg_body_point *point = &s->body->points[k];
-  const path *p = &s->paths[point->segment];
+  path *p = &s->paths[point->segment];
   const kg_vec3 x =
     kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
   const kg_sdf_value value = kg_scene_distance_from(kg_stage_scene(s->stage), x, &s->hints[k]);
@@ -169,13 +194,78 @@ static void pass_point(smoothing *s, int t, int k, bool *low)
   if (!has_room(s, (size_t)p->count)) {
     return;
   }
-  row *r = &s->rows[s->row_count];
-  *r = (row){.frame = t, .point = k, .segment = point->segment, .first = s->entry_count};
-  write_row(s, r, x, value.normal);
-  r->bound = AIM_M - value.distance +
-             row_dot(s->entries + r->first, p->column, p->count, s->D + (size_t)t * (size_t)s->nv);
-  s->row_count++;
-  s->entry_count += (size_t)p->count;
+  double *g = s->entries + s->entry_count;
+  kg_store3(g, value.normal);
+  (void)write_chain(s, g + 3, point->segment, -1, x, value.normal);
+  add_row(s, t, k, p, value.distance);
+}
+
+/* the joint that both segments hang from; a parent comes before its children */
+static int meeting(const kg_body *body, int a, int b)
+{
+  while (a != b) {
+    if (a > b) {
+      a = body->segments[a].parent;
+    } else {
+      b = body->segments[b].parent;
+    }
+  }
+  return a;
+}
+
+static path *path_of_pair(const smoothing *s, int segment, int other)
+{
+  const int n = s->body->segment_count;
+  return &s->paths[n + segment * n + other];
+}
+
+/* n' (J of the point - J of the other segment at the point) */
+static void pass_self_touch(smoothing *s, int t, const kg_self_touch *touch)
+{
+  const int segment = s->body->points[touch->point].segment;
+  const int end = meeting(s->body, segment, touch->segment);
+  path *p = path_of_pair(s, segment, touch->segment);
+  if (!has_room(s, (size_t)p->count)) return;
+  double *g = s->entries + s->entry_count;
+  double *half = write_chain(s, g, segment, end, touch->x, touch->normal);
+  (void)write_chain(s, half, touch->segment, end, touch->x, kg_vec3_scale(-1.0, touch->normal));
+  double size2 = 0.0;
+  for (int k = 0; k < p->count; k++) {
+    size2 += g[k] * g[k];
+  }
+  if (size2 < LEAST_ARM_M * LEAST_ARM_M) return;
+  add_row(s, t, s->body->point_count + touch->point, p, touch->distance);
+}
+
+/* 1: both touches are of the same two segments; -1: with the roles exchanged; 0: of others */
+static int is_of_same_pair(const kg_body *body, const kg_self_touch *a, const kg_self_touch *b)
+{
+  const int of_a = body->points[a->point].segment, of_b = body->points[b->point].segment;
+  if (of_a == of_b && a->segment == b->segment) return 1;
+  return of_a == b->segment && of_b == a->segment ? -1 : 0;
+}
+
+/* Limbs deep in each other have points on both sides of the other's axis, whose ways out are opposed:
+ * those against the way of the pair's deepest point are left out, and come over to its side. */
+static bool is_against_deepest(const smoothing *s, int count, const kg_self_touch *touch)
+{
+  const kg_self_touch *deepest = touch;
+  for (int k = 0; k < count; k++) {
+    const kg_self_touch *t = &s->self_touches[k];
+    if (t->distance < deepest->distance && is_of_same_pair(s->body, t, touch) != 0) deepest = t;
+  }
+  const int sign = is_of_same_pair(s->body, deepest, touch);
+  return sign * kg_vec3_dot(deepest->normal, touch->normal) < 0.0;
+}
+
+static void pass_self(smoothing *s, int t, bool *low)
+{
+  const int count = kg_self_sample(s->self, s->p, s->R, NEAR_M, s->self_touches);
+  for (int k = 0; k < count; k++) {
+    const kg_self_touch *touch = &s->self_touches[k];
+    *low = *low || touch->distance < 0.0;
+    if (!is_against_deepest(s, count, touch)) pass_self_touch(s, t, touch);
+  }
 }
 
 /* Rows of the points that are near, over all frames. Bounds are for the whole change, not for its
@@ -194,6 +284,7 @@ static bool linearise(smoothing *s, bool *low)
         pass_point(s, t, s->near.points[k], low);
       }
     }
+    if (s->self) pass_self(s, t, low);
   }
   return !kg_arena_failed(&s->row_memory);
 }
@@ -204,12 +295,12 @@ static void number_columns(smoothing *s)
   for (int j = 0; j < s->nv; j++) {
     s->compact_of[j] = -1;
   }
-  for (int i = 0; i < s->body->segment_count; i++) {
+  for (int i = 0; i < s->path_count; i++) {
     s->paths[i].used = false;
   }
   s->width = 0;
   for (size_t i = 0; i < s->row_count; i++) {
-    path *p = &s->paths[s->rows[i].segment];
+    path *p = s->rows[i].path;
     for (int k = 0; k < p->count && !p->used; k++) {
       int *compact = &s->compact_of[p->column[k]];
       if (*compact < 0) {
@@ -249,7 +340,7 @@ static void normalise_rows(smoothing *s)
 {
   for (size_t i = 0; i < s->row_count; i++) {
     row *r = &s->rows[i];
-    const path *p = &s->paths[r->segment];
+    const path *p = r->path;
     double *g = s->entries + r->first, size2 = 0.0;
     for (int k = 0; k < p->count; k++) {
       size2 += g[k] * g[k] / s->W[p->column[k]];
@@ -281,7 +372,7 @@ static double operator_bound(smoothing *s)
       }
       double sum = 0.0;
       for (size_t k = first; k < end; k++) {
-        const path *p = &s->paths[s->rows[k].segment];
+        const path *p = s->rows[k].path;
         sum += fabs(row_dot(s->entries + s->rows[k].first, p->compact, p->count, probe));
       }
       largest = fmax(largest, sum);
@@ -293,7 +384,7 @@ static double operator_bound(smoothing *s)
 
 static double *force_of(const smoothing *s, const row *r)
 {
-  return &s->force[(size_t)r->frame * (size_t)s->body->point_count + (size_t)r->point];
+  return &s->force[(size_t)r->frame * (size_t)s->key_count + (size_t)r->key];
 }
 
 /* [BT] (4.1)-(4.3) on the dual: y+ = max(0, z + (bound - g D(z)) / L), with restart on ascent; done
@@ -325,7 +416,7 @@ static void solve_dual(smoothing *s)
     momentum = against > 0.0 ? 1.0 : next;
   }
   apply_inverse(s, false);
-  memset(s->force, 0, (size_t)s->T * (size_t)s->body->point_count * sizeof *s->force);
+  memset(s->force, 0, (size_t)s->T * (size_t)s->key_count * sizeof *s->force);
   for (size_t i = 0; i < s->row_count; i++) {
     *force_of(s, &s->rows[i]) = s->rows[i].y * s->rows[i].scale;
   }
@@ -355,12 +446,39 @@ typedef struct finisher {
   const kg_correct_def *def;
   kg_stage *stage;
   kg_correction *correction;
+  double *q; /* (nq) another start */
   int first, end;
   bool reports; /* progress comes from the calling thread only */
   bool interrupted;
   int iterations;
   pthread_t thread;
 } finisher;
+
+/* Moves q, frame t with its change, out of what it touches; returns the depth that is left. Limbs that
+ * are deep in each other can have points on both sides of the other's axis, which hold each other: the
+ * changes of the frames around, and none, are other places to start from. */
+static double correct_frame(finisher *f, int t, double *q)
+{
+  static const int around[] = {-1, 1, -2, 2, -4, 4};
+  const smoothing *s = f->s;
+  const size_t nq = (size_t)s->body->nq;
+  const double *captured = s->subject->q + (size_t)t * nq;
+  kg_correction_report report = kg_correction_apply(f->correction, q, NULL, NULL);
+  double depth = report.d_pen_after;
+  f->iterations += report.iterations;
+  for (int k = -1; k < (int)KG_COUNT_OF(around) && s->self && !report.converged; k++) {
+    const int from = k < 0 ? t : t + around[k];
+    if (from < 0 || from >= s->T) continue;
+    memcpy(f->q, captured, nq * sizeof *q);
+    if (k >= 0) kg_body_integrate(s->body, f->q, captured, s->D + (size_t)from * (size_t)s->nv);
+    report = kg_correction_apply(f->correction, f->q, NULL, NULL);
+    f->iterations += report.iterations;
+    if (!(report.d_pen_after < depth)) continue;
+    depth = report.d_pen_after;
+    memcpy(q, f->q, nq * sizeof *q);
+  }
+  return depth;
+}
 
 static void *finish_share(void *user)
 {
@@ -376,9 +494,7 @@ static void *finish_share(void *user)
       kg_body_integrate(s->body, q, captured, D);
     }
     kg_stage_set(f->stage, t * s->subject->dt, kg_vec3_make(q[0], q[1], q[2]));
-    const kg_correction_report report = kg_correction_apply(f->correction, q, NULL, NULL);
-    s->result->penetration[t] = report.d_pen_after;
-    f->iterations += report.iterations;
+    s->result->penetration[t] = correct_frame(f, t, q);
     if (f->reports && t % 64 == 0 &&
         !f->def->progress(0.8 + 0.2 * (t - f->first) / (f->end - f->first), "sdf",
                           f->def->progress_user)) {
@@ -401,9 +517,11 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
                             .reports = i == 0 && def->progress,
                             .first = (int)((long)s->T * i / count),
                             .end = (int)((long)s->T * (i + 1) / count)};
+    workers[i].q = s->other_start + (size_t)i * (size_t)s->body->nq;
     status = kg_stage_create(&workers[i].stage, s->subject, KG_STAGE_ALL, def->allocator);
     if (status != KG_OK) break;
     kg_correction_def cd = kg_correction_default_def(s->body, kg_stage_scene(workers[i].stage));
+    cd.self = s->subject->self;
     cd.allocator = def->allocator;
     status = kg_correction_create(&workers[i].correction, &cd);
   }
@@ -430,31 +548,66 @@ static kg_status finish_frames(smoothing *s, const kg_correct_def *def)
   return status;
 }
 
+/* The path's next columns: three of every joint from a segment to `end`, which is left out. */
+static void add_columns(const kg_body *body, path *p, int segment, int end)
+{
+  for (int i = segment; i != end; i = body->segments[i].parent) {
+    for (int k = 0; k < 3; k++) {
+      p->column[p->count++] = 3 + 3 * i + k;
+    }
+  }
+}
+
+static int chain_length(const kg_body *body, int segment, int end)
+{
+  int length = 0;
+  for (int i = segment; i != end; i = body->segments[i].parent) {
+    length++;
+  }
+  return length;
+}
+
+/* room for `joints` joints and the root's position */
+static bool make_path(path *p, int joints, kg_arena *arena)
+{
+  p->column = KG_ARENA_ARRAY(arena, int, 3 + 3 * joints);
+  p->compact = KG_ARENA_ARRAY(arena, int, 3 + 3 * joints);
+  return !kg_arena_failed(arena);
+}
+
+static void make_pair_paths(smoothing *s, kg_arena *arena)
+{
+  const kg_body *body = s->body;
+  for (int i = 0; i < body->segment_count; i++) {
+    for (int j = 0; j < body->segment_count; j++) {
+      if (!kg_self_is_pair(s->self, i, j)) continue;
+      const int end = meeting(body, i, j);
+      path *p = path_of_pair(s, i, j);
+      if (!make_path(p, chain_length(body, i, end) + chain_length(body, j, end), arena)) return;
+      add_columns(body, p, i, end);
+      add_columns(body, p, j, end);
+    }
+  }
+}
+
 static void make_paths(smoothing *s, kg_arena *arena)
 {
   const kg_body *body = s->body;
-  s->paths = KG_ARENA_ARRAY(arena, path, body->segment_count);
+  const int n = body->segment_count;
+  s->path_count = s->self ? n + n * n : n;
+  s->paths = KG_ARENA_ARRAY(arena, path, s->path_count);
   s->column_of = KG_ARENA_ARRAY(arena, int, s->nv + KG_SMOOTHER_COLUMNS);
   s->compact_of = KG_ARENA_ARRAY(arena, int, s->nv);
   for (int b = 0; b < s->near.count && !kg_arena_failed(arena); b++) {
     const int segment = s->near.balls[b].segment;
     path *p = &s->paths[segment];
-    p->count = 3;
-    for (int i = segment; i >= 0; i = body->segments[i].parent) {
-      p->count += 3;
-    }
-    p->column = KG_ARENA_ARRAY(arena, int, p->count);
-    p->compact = KG_ARENA_ARRAY(arena, int, p->count);
-    if (kg_arena_failed(arena)) return;
+    if (!make_path(p, chain_length(body, segment, -1), arena)) return;
     for (int k = 0; k < 3; k++) {
-      p->column[k] = k;
+      p->column[p->count++] = k;
     }
-    for (int i = segment, at = 3; i >= 0; i = body->segments[i].parent) {
-      for (int k = 0; k < 3; k++) {
-        p->column[at++] = 3 + 3 * i + k;
-      }
-    }
+    add_columns(body, p, segment, -1);
   }
+  if (s->self && !kg_arena_failed(arena)) make_pair_paths(s, arena);
 }
 
 static kg_status smoothing_create(smoothing *s, kg_arena *arena)
@@ -462,12 +615,18 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   const size_t T = (size_t)s->T, nv = (size_t)s->nv;
   s->D = KG_ARENA_ARRAY(arena, double, T *nv);
   s->W = KG_ARENA_ARRAY(arena, double, nv);
+  s->other_start = KG_ARENA_ARRAY(arena, double, MAX_THREADS *(size_t)s->body->nq);
   s->p = KG_ARENA_ARRAY(arena, kg_vec3, s->body->segment_count);
   s->R = KG_ARENA_ARRAY(arena, kg_mat3, s->body->segment_count);
   s->hints = KG_ARENA_ARRAY(arena, kg_scene_hint, s->body->point_count);
   double *M = KG_ARENA_ARRAY(arena, double, nv *nv);
   near_points_init(&s->near, s->body, arena);
-  s->force = KG_ARENA_ARRAY(arena, double, T *(size_t)s->body->point_count);
+  s->key_count = (s->subject->self ? 2 : 1) * s->body->point_count;
+  s->force = KG_ARENA_ARRAY(arena, double, T *(size_t)s->key_count);
+  s->self_touches = KG_ARENA_ARRAY(arena, kg_self_touch, s->body->point_count);
+  if (s->subject->self && kg_self_create(&s->self, s->body, NULL, arena->allocator) != KG_OK) {
+    return KG_ERR_NO_MEMORY;
+  }
   kg_smoother_create(&s->smoother, s->T, arena);
   if (!kg_arena_failed(arena)) make_paths(s, arena);
   s->trial = KG_ARENA_ARRAY(arena, double, T *(nv + KG_SMOOTHER_COLUMNS));
@@ -518,6 +677,7 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
   kg_stage_destroy(s.stage);
   kg_dynamics_destroy(s.dynamics);
+  kg_self_destroy(s.self);
   kg_arena_release(&s.row_memory);
   kg_arena_release(&scratch);
   clock_gettime(CLOCK_MONOTONIC, &end);

@@ -817,6 +817,7 @@ static kg_status tracker_create(tracker *s, kg_arena *arena)
   }
   if (status == KG_OK) {
     kg_correction_def correction = kg_correction_default_def(s->body, kg_stage_scene(s->stage));
+    correction.self = s->subject->self;
     correction.allocator = arena->allocator;
     status = kg_correction_create(&s->correction, &correction);
   }

@@ -447,6 +447,8 @@ run 3 correct "$data/walker.bvh" -o out/two.bvh --with no_such.bvh
 run 0 correct "$data/walker.bvh" -o out/self.bvh --method sdf --self --json out/self.json
 claim "--self: how deep the capture is in itself" \
   awk "BEGIN {exit !($("$json_get" out/self.json capture.self_penetration_max_m) > 0.01)}"
+claim "--self: and the output no longer" \
+  awk "BEGIN {exit !($("$json_get" out/self.json self_penetration_max_m) <= 1e-5)}"
 claim "--self: in the table" grep -q "^  self_penetration_max_m " stdout.txt
 run 0 correct "$data/walker.bvh" -o out/self.bvh --method sdf
 claim "without --self: not in the table" test -z "$(grep self_ stdout.txt)"

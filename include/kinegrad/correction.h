@@ -37,6 +37,9 @@ typedef struct kg_correction_def {
   int max_iterations;            /* of the gradient; default 200                 */
   double kkt_tolerance;          /* kg^1/2 m: the conditions of the least move hold to it, and D is
                                     differentiable; default 0: within a few percent of the least */
+  bool self;                     /* points of the body are also kept out of its own segments, by the
+                                    pairs of kinegrad/self.h; d_pen and L_coll count them. Default
+                                    false                                        */
   const kg_allocator *allocator;
 } kg_correction_def;
 
@@ -85,7 +88,8 @@ KG_API double kg_correction_step(kg_correction *correction, double *q);
  * of the side on which it does not. At the tolerance, where the correction sets in, it jumps by up
  * to the tolerance. A pose that was left as it is has the identity. False, and nothing written or
  * added, where q_after is not the least move to a hundredth of its length (kkt_tolerance not set or
- * not reached), and where the system has no inverse: two least moves meet. */
+ * not reached), where the system has no inverse (two least moves meet), and where the body's own
+ * segments carry (def.self): the second derivatives of those are not at hand. */
 
 /* Adds J' after_bar to before_bar; [nv] each. */
 KG_API bool kg_correction_vjp(kg_correction *correction, const double *q_before,
