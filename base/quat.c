@@ -1,6 +1,8 @@
 /* Quaternion functions that are too long to inline: conversions, exp, log, slerp, right Jacobian. */
 #include "kinegrad/quat.h"
 
+#include "base/rotation_series.h"
+
 /* Largest of the four squared components first, so that the division is never by a small number. */
 kg_quat kg_quat_from_matrix(kg_mat3 R)
 {
@@ -26,37 +28,13 @@ kg_quat kg_quat_from_matrix(kg_mat3 R)
   return kg_quat_normalized(q);
 }
 
-/* Inverse factorials of even and odd numbers: cos x and sin x / x are sums of (-x^2)^k times these.
- * Small angles, the increments of a motion, do without trigonometry. */
-static const double even[8] = {
-  1.0,           1.0 / 2.0,       1.0 / 24.0,        1.0 / 720.0,
-  1.0 / 40320.0, 1.0 / 3628800.0, 1.0 / 479001600.0, 1.0 / 87178291200.0};
-static const double odd[8] = {1.0,
-                              1.0 / 6.0,
-                              1.0 / 120.0,
-                              1.0 / 5040.0,
-                              1.0 / 362880.0,
-                              1.0 / 39916800.0,
-                              1.0 / 6227020800.0,
-                              1.0 / 1307674368000.0};
-
-/* c[0] - c[1] x + c[2] x^2 - ... */
-static inline double series(const double *c, int count, double x)
-{
-  double sum = c[count - 1];
-  for (int k = count - 2; k >= 0; k--) {
-    sum = c[k] - sum * x;
-  }
-  return sum;
-}
-
 kg_quat kg_quat_exp(kg_vec3 r)
 {
   const double angle2 = kg_vec3_dot(r, r);
   double c, s;        /* cos(angle / 2), sin(angle / 2) / angle */
   if (angle2 < 1.0) { /* the next terms are (angle / 2)^16 / 16! and / 17!, below 1e-18 */
-    c = series(even, 8, 0.25 * angle2);
-    s = 0.5 * series(odd, 8, 0.25 * angle2);
+    c = kg_series(kg_series_even, 8, 0.25 * angle2);
+    s = 0.5 * kg_series(kg_series_odd, 8, 0.25 * angle2);
   } else {
     const double angle = sqrt(angle2);
     c = cos(0.5 * angle);
@@ -104,8 +82,8 @@ kg_mat3 kg_so3_right_jacobian(kg_vec3 r)
   const double a2 = kg_vec3_dot(r, r);
   double b, c;
   if (a2 < 0.25) { /* the next terms are a^14 / 16! and a^14 / 17!, below 3e-18 */
-    b = series(even + 1, 7, a2);
-    c = series(odd + 1, 7, a2);
+    b = kg_series(kg_series_even + 1, 7, a2);
+    c = kg_series(kg_series_odd + 1, 7, a2);
   } else {
     const double a = sqrt(a2);
     const double h = sin(0.5 * a);

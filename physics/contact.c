@@ -82,6 +82,12 @@ static kg_scene_point find_strongest(const kg_contact_params *params, const kg_s
 
 kg_contact_site kg_contact_find(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x)
 {
+  const kg_sdf_shape *plane = kg_only_plane(scene);
+  if (plane) {
+    return (kg_contact_site){
+      .value = {.distance = kg_vec3_dot(plane->b, kg_vec3_sub(x, plane->a)), .normal = plane->b},
+      .slope = 1.0};
+  }
   const kg_scene_point at =
     scene->ground_count > 0 ? find_strongest(params, scene, x) : kg_scene_nearest(scene, x);
   return site_of(scene, &at);

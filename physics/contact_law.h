@@ -13,6 +13,14 @@ typedef struct kg_contact_site {
   const kg_ground *ground; /* NULL: hard                                                     */
 } kg_contact_site;
 
+/* The one plane, hard and at rest, that is all of the scene, or NULL. */
+static inline const kg_sdf_shape *kg_only_plane(const kg_scene *scene)
+{
+  const kg_sdf_shape *shape = &scene->shapes[0];
+  const bool is_plane = scene->shape_count == 1 && shape->kind == KG_SHAPE_PLANE;
+  return is_plane && shape->place == 0 && shape->ground == 0 && shape->offset == 0.0 ? shape : NULL;
+}
+
 kg_contact_site kg_contact_find(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x);
 /* Force begins at this Phi. */
 double kg_contact_reach(const kg_contact_params *params, const kg_ground *ground);

@@ -28,6 +28,9 @@ static inline void kg_state_set_quat(double *q, int segment, kg_quat r)
   p[3] = r.z;
 }
 
+/* q_out = q exp(d), normalised: a joint of kg_body_integrate */
+void kg_joint_turn(double *q_out, const double *q, const double *d);
+
 /* Three consecutive numbers: the root position of q, or a block of v. */
 static inline kg_vec3 kg_load3(const double *p)
 {

@@ -293,19 +293,38 @@ static void find_free_motion(kg_step *s)
 }
 
 /* f' P C_nu P' f: how fast the force f moves its point along itself */
-static double yield_along(const kg_small_problem *p, const kg_candidate *c, kg_vec3 f)
+static double yield_along(const double *C, int stride, kg_vec3 x, kg_vec3 f)
 {
-  const double *C = p->nu + (p->segment[c->slot] + 1) * 6 * p->stride + 6 * c->slot;
-  const kg_vec3 n = kg_vec3_cross(c->trial.x, f);
+  const kg_vec3 n = kg_vec3_cross(x, f);
   const double w[6] = {n.x, n.y, n.z, f.x, f.y, f.z};
   double row[6] = {0.0}; /* w'C: sums side by side */
   for (int r = 0; r < 6; r++) {
     for (int k = 0; k < 6; k++) {
-      row[k] += w[r] * C[r * p->stride + k];
+      row[k] += w[r] * C[r * stride + k];
     }
   }
   return row[0] * w[0] + row[1] * w[1] + row[2] * w[2] + row[3] * w[3] + row[4] * w[4] +
          row[5] * w[5];
+}
+
+/* trace of P C_nu P': the sum of the above over three directions, whichever they are */
+static double yield_of_all(const double *C, int stride, kg_vec3 x)
+{
+  const double X[9] = {0.0, -x.z, x.y, x.z, 0.0, -x.x, -x.y, x.x, 0.0}; /* [x] */
+  double sum = 0.0;
+  for (int k = 0; k < 3; k++) {
+    const double *own = C + (3 + k) * stride;
+    double part = own[3 + k];
+    for (int i = 1; i < 3; i++) { /* column k of [x] has two numbers */
+      const int r = (k + i) % 3;
+      const double by_r = C[r * stride + r] * X[3 * r + k];
+      const int o = 3 - r - k;
+      part +=
+        X[3 * r + k] * (by_r + C[r * stride + o] * X[3 * o + k] + C[r * stride + 3 + k] + own[r]);
+    }
+    sum += part;
+  }
+  return sum;
 }
 
 static void find_yields(kg_step *s)
@@ -314,11 +333,11 @@ static void find_yields(kg_step *s)
   const double least = s->dt / whole_mass(s); /* of the body in one piece */
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
-    const kg_vec3 n = c->normal;
-    const kg_vec3 other = fabs(n.x) < 0.7 ? kg_vec3_make(1, 0, 0) : kg_vec3_make(0, 0, 1);
-    const kg_vec3 t1 = kg_vec3_normalized(kg_vec3_cross(n, other)), t2 = kg_vec3_cross(n, t1);
-    c->yield_n = fmax(yield_along(p, c, n), least);
-    c->yield_t = fmax(0.5 * (yield_along(p, c, t1) + yield_along(p, c, t2)), least);
+    const double *C = p->nu + (p->segment[c->slot] + 1) * 6 * p->stride + 6 * c->slot;
+    const double normal = yield_along(C, p->stride, c->trial.x, c->normal);
+    const double all = yield_of_all(C, p->stride, c->trial.x);
+    c->yield_n = fmax(normal, least);
+    c->yield_t = fmax(0.5 * (all - normal), least);
   }
 }
 

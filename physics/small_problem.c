@@ -546,11 +546,16 @@ static void sum_forces(kg_small_problem *p)
 static void take_answer(kg_step *s, double *d)
 {
   kg_small_problem *p = s->small;
+  const int nv = s->def.body->nv;
+  memset(d, 0, (size_t)nv * sizeof *d);
   kg_small_add_wrenches(s, p->h, d);
   for (int k = 0; k < p->count; k++) {
     p->force[p->candidates[k].point] = get3(lanes_of(p, k)->now, F, k % KG_LANES);
   }
-  kg_tree_solve(&s->dynamics->tree, &s->J, d);
+  kg_tree_solve_from(&s->dynamics->tree, &s->J, d, p->blocks, p->block_count);
+  for (int k = 0; k < nv; k++) {
+    d[k] += p->free[k];
+  }
 }
 
 bool kg_small_direction(kg_step *s, double *d, const double *x, double damping,
@@ -560,7 +565,9 @@ bool kg_small_direction(kg_step *s, double *d, const double *x, double damping,
   kg_step_ensure_evaluated(s, x);
   report->exact = true;
   if (!kg_small_linearize(s, damping, d)) return false;
-  if (p->slots > 0) {
+  if (p->slots == 0) {
+    kg_tree_solve(&s->dynamics->tree, &s->J, d);
+  } else {
     const double least = 0.1 * s->def.tolerance, error = p->body_error;
     p->tolerance = fmax(fmin(TOLERATED * error * fmin(30.0 * error, 1.0), ROUGH), least);
     const kg_small_result result = solve(s, report);
@@ -569,8 +576,8 @@ bool kg_small_direction(kg_step *s, double *d, const double *x, double damping,
     if (!report->exact) { /* else h is there, with less rounding than in the stiff law's forces */
       sum_forces(p);
     }
+    take_answer(s, d);
   }
-  take_answer(s, d);
   return true;
 }
 

@@ -101,12 +101,21 @@ void kg_body_destroy(kg_body *body)
   }
 }
 
+void kg_joint_turn(double *q_out, const double *q, const double *d)
+{
+  const kg_quat turn = kg_quat_exp(kg_load3(d));
+  const kg_quat r = kg_quat_normalized(kg_quat_mul(kg_quat_make(q[0], q[1], q[2], q[3]), turn));
+  q_out[0] = r.w;
+  q_out[1] = r.x;
+  q_out[2] = r.y;
+  q_out[3] = r.z;
+}
+
 void kg_body_integrate(const kg_body *body, double *q_out, const double *q, const double *d)
 {
   kg_store3(q_out, kg_vec3_add(kg_load3(q), kg_load3(d)));
   for (int i = 0; i < body->segment_count; i++) {
-    const kg_quat turn = kg_quat_exp(kg_load3(d + 3 + 3 * i));
-    kg_state_set_quat(q_out, i, kg_quat_normalized(kg_quat_mul(kg_state_quat(q, i), turn)));
+    kg_joint_turn(q_out + 3 + 4 * i, q + 3 + 4 * i, d + 3 + 3 * i);
   }
 }
 

@@ -52,6 +52,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   made.order = KG_ARENA_ARRAY(&arena, int, body->point_count);
   made.groups = KG_ARENA_ARRAY(&arena, point_group, body->segment_count);
   made.contacts = KG_ARENA_ARRAY(&arena, kg_step_contact, body->point_count);
+  made.turns = KG_ARENA_ARRAY(&arena, kg_mat3, body->segment_count + 1);
   made.scale = KG_ARENA_ARRAY(&arena, double, body->nv);
   made.q_end = KG_ARENA_ARRAY(&arena, double, body->nq);
   made.a = KG_ARENA_ARRAY(&arena, double, body->nv);

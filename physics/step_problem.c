@@ -4,6 +4,7 @@
  * is written before the number. */
 #include "physics/step_problem.h"
 
+#include "physics/kernels/kernels.h"
 #include "physics/passive.h"
 #include "physics/physics.h"
 
@@ -208,7 +209,8 @@ bool kg_step_evaluate(double *G, const double *v_end, void *user)
     s->a[k] = (v_end[k] - s->v[k]) / s->dt;
   }
   s->evaluated = true;
-  kg_body_integrate(body, s->q_end, s->q, G);
+  kg_store3(s->q_end, kg_vec3_add(kg_load3(s->q), kg_load3(G)));
+  d->kernels->integrate_joints(s->q_end + 3, s->q + 3, G + 3, body->segment_count);
   kg_links_move(d, s->q_end, v_end, s->a);
   collide(s);
   kg_step_project(s, G);
@@ -258,9 +260,10 @@ kg_mat3 kg_step_turn_by_rate(const kg_step *s, int b)
 static void make_pencil(kg_step *s)
 {
   kg_dynamics *d = s->dynamics;
+  s->turns[0] = kg_step_turn_by_rate(s, 0);
+  d->kernels->turns_by_rate(s->turns + 1, s->v_end + 3, s->dt, d->n);
   for (int b = 0; b <= d->n; b++) {
-    const kg_mat3 E = kg_step_turn_by_rate(s, b);
-    kg_tree_pencil(d, b, &E, 1.0, 1.0 / s->dt);
+    kg_tree_pencil(d, b, &s->turns[b], 1.0, 1.0 / s->dt);
   }
 }
 

@@ -7,6 +7,7 @@
 
 #include "kinegrad/step.h"
 
+#include "physics/contact_law.h"
 #include "physics/tree.h"
 
 /* The points of one segment and a ball around them, to dismiss them all with one distance. */
@@ -27,6 +28,7 @@ struct kg_step {
   kg_step_contact *contacts;
   int contact_count;
   kg_tree_matrix J;
+  kg_mat3 *turns;    /* (n + 1) kg_step_turn_by_rate of every block */
   double *scale;     /* of the residual: diag(M)^-1/2 dt */
   double *q_end, *a; /* at the last evaluated v'         */
   double *v_end;     /* the v' the links were last evaluated at; only with evaluated */
@@ -92,14 +94,6 @@ static inline bool kg_is_above(const kg_link_height *h, kg_vec3 p, double distan
 {
   const double rounding = 1e-9; /* m */
   return h->above + kg_vec3_dot(h->across, p) > distance + rounding;
-}
-
-/* The one plane, hard and at rest, that is all of the scene, or NULL. */
-static inline const kg_sdf_shape *kg_only_plane(const kg_scene *scene)
-{
-  const kg_sdf_shape *shape = &scene->shapes[0];
-  const bool is_plane = scene->shape_count == 1 && shape->kind == KG_SHAPE_PLANE;
-  return is_plane && shape->place == 0 && shape->ground == 0 && shape->offset == 0.0 ? shape : NULL;
 }
 
 /* No point of segment i is within the layer or `margin` beyond it, as far as the ball around all of

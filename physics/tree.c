@@ -127,6 +127,12 @@ void kg_tree_solve(const kg_tree *tree, const kg_tree_matrix *A, double *x)
   tree->kernels->solve(tree, A, x);
 }
 
+void kg_tree_solve_from(const kg_tree *tree, const kg_tree_matrix *A, double *x, const int *blocks,
+                        int count)
+{
+  tree->kernels->solve_from(tree, A, x, blocks, count);
+}
+
 void kg_tree_solve_transposed(const kg_tree *tree, const kg_tree_matrix *A, double *x)
 {
   tree->kernels->solve_transposed(tree, A, x);

@@ -59,6 +59,10 @@ void kg_tree_add_diagonal(const kg_tree *tree, kg_tree_matrix *A, int b, double 
 bool kg_tree_factor(const kg_tree *tree, kg_tree_matrix *A);
 /* x := A^-1 x with the factors; x[3 * blocks]. */
 void kg_tree_solve(const kg_tree *tree, const kg_tree_matrix *A, double *x);
+/* The same for x that is zero outside some blocks: count in ascending order, every one with all its
+ * ancestors. */
+void kg_tree_solve_from(const kg_tree *tree, const kg_tree_matrix *A, double *x, const int *blocks,
+                        int count);
 /* x := A^-T x with the factors. */
 void kg_tree_solve_transposed(const kg_tree *tree, const kg_tree_matrix *A, double *x);
 /* X := A^-1 X and X := A^-T X for X (3 * blocks, columns) row-major. */

@@ -5,6 +5,8 @@
 
 #include "kinegrad/dynamics_lanes.h"
 
+#include "physics/physics.h"
+
 void dgesv_(const int *n, const int *nrhs, double *a, const int *lda, int *ipiv, double *b,
             const int *ldb, int *info);
 
@@ -359,6 +361,45 @@ static void matrices_do_not_depend_on_the_instruction_set(void **unused)
   }
 }
 
+/* Turns of many joints at once, bit for bit as one by one: small ones, and on both sides of where the
+ * series end. */
+static void rotations_of_eight_joints_equal_one(void **unused)
+{
+  (void)unused;
+  enum { JOINTS = 23 };
+  kg_random random = kg_random_make(50);
+  const double dt = 0.01;
+  int beyond = 0;
+  for (int trial = 0; trial < 600; trial++) {
+    const kg_physics_kernels *kernels = kg_physics_kernels_of_level(1 + trial % 3);
+    if (!kernels) {
+      print_message("no kernels of level %d here\n", 1 + trial % 3);
+      continue;
+    }
+    double q[4 * JOINTS], d[3 * JOINTS], w[3 * JOINTS], got[4 * JOINTS], want[4];
+    kg_mat3 E[JOINTS];
+    const int count = 1 + trial % JOINTS;
+    for (int i = 0; i < JOINTS; i++) {
+      const kg_quat at = kg_quat_exp(random_vec3(&random, 2.0));
+      memcpy(q + 4 * i, &at, sizeof at);
+      const kg_vec3 turn = random_vec3(&random, trial % 4 == 0 ? 1.0 : 0.3);
+      kg_store3(d + 3 * i, turn);
+      kg_store3(w + 3 * i, kg_vec3_scale(1.0 / dt, turn));
+    }
+    kernels->integrate_joints(got, q, d, count);
+    kernels->turns_by_rate(E, w, dt, count);
+    for (int i = 0; i < count; i++) {
+      kg_joint_turn(want, q + 4 * i, d + 3 * i);
+      assert_memory_equal(got + 4 * i, want, sizeof want);
+      const kg_vec3 turn = kg_vec3_scale(dt, kg_load3(w + 3 * i));
+      const kg_mat3 one = kg_mat3_scale(dt, kg_so3_right_jacobian(turn));
+      assert_memory_equal(&E[i], &one, sizeof one);
+      beyond += kg_vec3_dot(turn, turn) > 1.0;
+    }
+  }
+  assert_true(beyond > 100);
+}
+
 /* After creation no call takes memory: the allocator is not asked again. */
 static void calls_take_no_memory(void **unused)
 {
@@ -402,6 +443,7 @@ int main(void)
     cmocka_unit_test(ball_joints_inside_the_tree_have_exact_derivatives),
     cmocka_unit_test(eight_frames_equal_one_bit_for_bit),
     cmocka_unit_test(matrices_do_not_depend_on_the_instruction_set),
+    cmocka_unit_test(rotations_of_eight_joints_equal_one),
     cmocka_unit_test(calls_take_no_memory),
   };
   return cmocka_run_group_tests_name("dynamics_kernels", tests, NULL, NULL);

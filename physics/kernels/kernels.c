@@ -1,7 +1,10 @@
 /* All kernels of physics/ for one instruction set (KG_ISA) and their table. */
 #include "physics/kernels/kernels.h"
 
+#include "base/rotation_series.h"
+
 #include "physics/contact_law.h"
+#include "physics/physics.h"
 
 #include "physics/kernels/rows.h"
 
@@ -17,6 +20,7 @@
 #else
 typedef char inverse_rows; /* takes no scratch */
 #endif
+#include "physics/kernels/rotations.inc"
 #include "physics/kernels/wrenches.inc"
 
 extern const kg_number_kernels KG_NUMBER_TABLE(1, KG_ISA);
@@ -28,6 +32,7 @@ extern const kg_number_kernels KG_NUMBER_TABLE(8, KG_ISA);
 const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
   .factor = factor,
   .solve = solve,
+  .solve_from = solve_from,
   .solve_transposed = solve_transposed,
   .solve_many = solve_many,
   .solve_transposed_many = solve_transposed_many,
@@ -45,6 +50,8 @@ const kg_physics_kernels KG_PASTE(kg_physics_kernels_, KG_ISA) = {
 #ifdef KG_ROW4_IS_VECTOR
   .inverse = inverse_rows_frame,
 #endif
+  .integrate_joints = integrate_joints,
+  .turns_by_rate = turns_by_rate,
   .add_motion = add_motion,
   .wrench_rows = wrench_rows,
   .add_contact = add_contact,

@@ -76,6 +76,8 @@ typedef struct kg_number_kernels {
 struct kg_physics_kernels {
   bool (*factor)(const kg_tree *tree, kg_tree_matrix *A);
   void (*solve)(const kg_tree *tree, const kg_tree_matrix *A, double *x);
+  void (*solve_from)(const kg_tree *tree, const kg_tree_matrix *A, double *x, const int *blocks,
+                     int count);
   void (*solve_transposed)(const kg_tree *tree, const kg_tree_matrix *A, double *x);
   /* blocks NULL: all */
   void (*solve_many)(const kg_tree *tree, const kg_tree_matrix *A, double *X, int columns,
@@ -96,6 +98,10 @@ struct kg_physics_kernels {
   void (*from_lanes)(double *const row[8], const double *lanes, int width);
   /* inverse of `one` over vectors; NULL where they are too narrow to gain */
   kg_frame_kernel *inverse;
+  /* q_out = q turned by d, (count, 4) and (count, 3), as by kg_body_integrate */
+  void (*integrate_joints)(double *q_out, const double *q, const double *d, int count);
+  /* E = dt Jr(dt w) of each joint, w (count, 3) */
+  void (*turns_by_rate)(kg_mat3 *E, const double *w, double dt, int count);
   /* see wrenches.inc */
   void (*add_motion)(double *X, const double *parent, const kg_mat63 *T, const double *Y,
                      int stride);
