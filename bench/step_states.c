@@ -257,6 +257,7 @@ static bool track_clip(run *r, const char *path)
   is_recording = true;
   const kg_status status = kg_correct(&result, c->subject, &def, &error);
   is_recording = false;
+  c->def.scene = &c->subject->scene; /* the tracker's own copy went with the tracker */
   if (status != KG_OK) {
     fprintf(stderr, "step_states: %s: %s %s\n", path, kg_status_text(status), error.text);
     return false;
