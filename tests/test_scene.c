@@ -518,6 +518,33 @@ static void of_equals_the_first_counts(void **state)
   assert_true(equals > 3000);
 }
 
+/* What an offset and a blend add to the outside counts in the ball around a place. */
+static void balls_hold_what_sticks_out(void **state)
+{
+  (void)state;
+  kg_scene scene = {0};
+  const kg_place rest = {.at = {0.0, 0.0, 0.0}};
+  const int first = kg_scene_add_place(&scene, &rest), second = kg_scene_add_place(&scene, &rest);
+  const kg_sdf_shape shapes[] = {
+    {.kind = KG_SHAPE_SPHERE, .radius = 0.2, .offset = 0.5, .place = first},
+    {.kind = KG_SHAPE_SPHERE, .radius = 0.2},
+    {.kind = KG_SHAPE_SPHERE, .radius = 0.2},
+    {.kind = KG_SHAPE_SMOOTH_UNION, .children = {1, 2}, .radius = 0.6, .place = second},
+  };
+  for (size_t k = 0; k < KG_COUNT_OF(shapes); k++) {
+    assert_true(kg_scene_add(&scene, &shapes[k]));
+  }
+  kg_sdf_value v;
+  assert_true(kg_scene_shape_distance(&scene, 0, kg_vec3_make(0.8, 0.0, 0.0), 0.2, &v));
+  assert_close(v.distance, 0.1, 1e-14);
+  assert_true(kg_scene_shape_distance(&scene, 3, kg_vec3_make(0.32, 0.0, 0.0), 0.05, &v));
+  assert_close(v.distance, 0.02, 1e-14); /* 0.6 / 6 further out than its parts */
+  kg_scene plane = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  plane.shapes[0].offset = 0.1;
+  assert_close(kg_scene_distance(&plane, kg_vec3_make(0.0, 0.3, 0.0)).distance, 0.2, 1e-15);
+  assert_close(kg_scene_nearest(&plane, kg_vec3_make(0.0, 0.3, 0.0)).value.distance, 0.2, 1e-15);
+}
+
 /* The ball around a combination must hold a part that has moved since it was added. */
 static void parts_that_move_are_found(void **state)
 {
@@ -581,6 +608,7 @@ int main(void)
     cmocka_unit_test(an_offset_rounds),
     cmocka_unit_test(a_full_scene_refuses),
     cmocka_unit_test(of_equals_the_first_counts),
+    cmocka_unit_test(balls_hold_what_sticks_out),
     cmocka_unit_test(parts_that_move_are_found),
     cmocka_unit_test(what_is_not_a_number_is_not_far_away),
   };

@@ -152,6 +152,8 @@ static void time_is_that_of_the_clips(void **state_)
   assert_int_equal(scene->shape_count, all);
   kg_stage_set(stage, end + 0.5 * a.subject->dt, root_of(a.subject, 0));
   assert_int_equal(scene->shape_count, own);
+  kg_stage_set(stage, -0.5 * a.subject->dt, root_of(a.subject, 0));
+  assert_int_equal(scene->shape_count, own);
   kg_stage_set(stage, 0.0, root_of(a.subject, 0));
   assert_int_equal(scene->shape_count, all);
   kg_stage_set(stage, -0.5 * a.subject->dt, root_of(a.subject, 0));
@@ -169,16 +171,42 @@ static void time_is_that_of_the_clips(void **state_)
   release(&b);
 }
 
+/* A scene has room for all shapes of a body, with a place for each segment that has any, or none. */
+static void room_is_counted(void **state_)
+{
+  (void)state_;
+  athlete a = walker(0.0, 1, NULL);
+  const kg_body *body = a.subject->body;
+  bool has[64] = {false};
+  int places = 0;
+  for (int k = 0; k < body->shape_count; k++) {
+    places += !has[body->shapes[k].segment];
+    has[body->shapes[k].segment] = true;
+  }
+  assert_true(places > 1 && places <= body->shape_count);
+  kg_scene scene = {.shape_count = KG_SCENE_MAX_SHAPES - body->shape_count,
+                    .place_count = KG_SCENE_MAX_PLACES - places};
+  assert_true(kg_stage_has_room(&scene, body));
+  scene.shape_count++;
+  assert_false(kg_stage_has_room(&scene, body));
+  scene.shape_count--;
+  scene.place_count++;
+  assert_false(kg_stage_has_room(&scene, body));
+  release(&a);
+}
+
 /* Places of the scene itself go on with their velocity. */
 static void a_ball_flies_on(void **state_)
 {
   (void)state_;
   athlete a = walker(0.0, 1, NULL);
   kg_scene *scene = &a.subject->scene;
-  const kg_place place = {
-    .at = {1.0, 2.0, 3.0}, .velocity = {0.5, 0.0, -1.0}, .spin = {0.0, 2.0, 0.0}};
+  const kg_place place = {.at = {1.0, 2.0, 3.0},
+                          .turn = kg_quat_exp(kg_vec3_make(0.0, 0.0, 0.5 * 3.14159265358979323846)),
+                          .velocity = {0.5, 0.0, -1.0},
+                          .spin = {0.0, 2.0, 0.0}};
   const kg_sdf_shape ball = {.kind = KG_SHAPE_SPHERE,
-                             .a = {0.3, 0.0, 0.0},
+                             .a = {0.0, -0.3, 0.0}, /* by the turn: (0.3, 0, 0) */
                              .radius = 0.1,
                              .place = kg_scene_add_place(scene, &place)};
   assert_true(kg_scene_add(scene, &ball));
@@ -310,6 +338,7 @@ int main(void)
     cmocka_unit_test(shapes_are_where_the_other_body_is),
     cmocka_unit_test(shapes_move_as_they_say),
     cmocka_unit_test(time_is_that_of_the_clips),
+    cmocka_unit_test(room_is_counted),
     cmocka_unit_test(a_ball_flies_on),
     cmocka_unit_test(a_turned_place_spins_on),
     cmocka_unit_test(both_methods_lead_out),

@@ -139,6 +139,63 @@ static void a_clip_without_legs_is_refused(void **state)
   kg_clip_destroy(clip);
 }
 
+/* From the outside of the nearest layer, though its core be further than another shape. */
+static void soft_distance_is_from_the_outside_of_layers(void **state)
+{
+  (void)state;
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  const kg_ground mat = {.thickness = 0.3, .stiffness = 1e4, .friction = -1.0};
+  const kg_sdf_shape shapes[] = {
+    {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.0, 0.0}, .radius = 0.2},
+    {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.0, 0.1}, .radius = 0.3},
+    {.kind = KG_SHAPE_INTERSECTION,
+     .children = {1, 2},
+     .ground = kg_scene_add_ground(&scene, &mat)},
+  };
+  for (size_t k = 0; k < KG_COUNT_OF(shapes); k++) {
+    assert_true(kg_scene_add(&scene, &shapes[k]));
+  }
+  /* the floor is 0.35 m away; the core, the first ball, 0.45 m, its layer 0.15 m */
+  const kg_sdf_value v = kg_soft_distance(&scene, kg_vec3_make(0.0, 0.35, 0.0));
+  assert_close(v.distance, 0.15, 1e-14);
+  assert_close(v.normal.y, -1.0, 1e-14);
+  assert_close(kg_scene_surface(&scene, kg_vec3_make(0.0, 0.35, 0.0)), v.distance, 0.0);
+  /* the second ball is nearer than the first but a part only */
+  assert_close(kg_soft_distance(&scene, kg_vec3_make(0.0, 1.0, 0.6)).distance, 0.1, 1e-14);
+}
+
+/* Ten sole nodes at rest: the layer's force at the height carries a tenth of the weight, unless the
+ * layer is too soft for that. */
+static void soles_rest_in_the_layer(void **state)
+{
+  (void)state;
+  kg_clip *clip = standing_clip(6, 0.01);
+  const kg_contact_params law = kg_contact_default_params();
+  const kg_track_params track = kg_correct_default_def().track;
+  const double stiffness[3] = {0.0, 2e4, 10.0};
+  for (int k = 0; k < 3; k++) {
+    const kg_ground ground = {0.03, stiffness[k], 0.5, -1.0};
+    kg_subject_def def = kg_subject_default_def();
+    def.ground = k ? &ground : NULL;
+    kg_error error = {0};
+    kg_subject *subject = NULL;
+    if (kg_subject_create(&subject, clip, &def, &error) != KG_OK) fail_msg("%s", error.text);
+    const double height = kg_rest_height(subject, &track, &law, 9.8);
+    if (k == 1) {
+      kg_contact_force force;
+      const kg_vec3 at = subject->scene.shapes[0].a, n = subject->scene.shapes[0].b;
+      const kg_vec3 x = kg_vec3_add_scaled(at, ground.thickness + height, n);
+      assert_true(
+        kg_contact_evaluate(&law, &subject->scene, x, kg_vec3_make(0.0, 0.0, 0.0), false, &force));
+      assert_close(force.normal, 0.1 * 9.8 * subject->body->mass, 1e-9);
+    } else {
+      assert_close(height, track.rest_height - (k ? ground.thickness : 0.0), 1e-15);
+    }
+    kg_subject_destroy(subject);
+  }
+  kg_clip_destroy(clip);
+}
+
 static void shapes_join_the_ground(void **state)
 {
   (void)state;
@@ -263,6 +320,8 @@ int main(void)
     cmocka_unit_test(other_clips_are_refused),
     cmocka_unit_test(a_clip_without_legs_is_refused),
     cmocka_unit_test(shapes_join_the_ground),
+    cmocka_unit_test(soft_distance_is_from_the_outside_of_layers),
+    cmocka_unit_test(soles_rest_in_the_layer),
     cmocka_unit_test(states_between_frames),
     cmocka_unit_test(refused_memory_leaves_nothing_behind),
   };
