@@ -536,6 +536,32 @@ static void sliding_block_decelerates_by_mu_g(void **state)
 
 /* A block dropped on a mat that moves: it ends at the floor's speed, sunk as deep as its weight
  * presses the four corners. */
+/* The rigid core is farther from the block than the block is large: the layer counts. */
+static void a_small_block_feels_a_thick_mat(void **state)
+{
+  (void)state;
+  kg_body *body = box_body(1.0, kg_vec3_make(0.02, 0.02, 0.02));
+  const kg_ground mat = {.thickness = 0.15, .stiffness = 2e3, .damping = 2.0, .friction = -1.0};
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  scene.shapes[0].ground = kg_scene_add_ground(&scene, &mat);
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  kg_step *s = step_of(&def);
+  double q[7], v[6] = {0.0};
+  kg_step_report report;
+  rest_state(body, 0.02 + 0.15, q);
+  for (int k = 0; k < 300; k++) {
+    kg_step_advance(s, q, v, q, v, NULL, 0.005, false, &report);
+    assert_true(report.converged && report.contact_count == 4);
+  }
+  /* (1a) for p < layer: k p^2 / (2 layer) on each of four corners */
+  const double p = sqrt(2.0 * def.contact.layer * 9.8 / 4.0 / mat.stiffness);
+  assert_true(p < def.contact.layer);
+  assert_close(q[1] - 0.02, mat.thickness + def.contact.layer - p, 1e-6);
+  kg_step_destroy(s);
+  kg_body_destroy(body);
+}
+
 static void a_moving_mat_carries_a_block(void **state)
 {
   (void)state;
@@ -820,6 +846,7 @@ int main(void)
     cmocka_unit_test(box_stands_still),
     cmocka_unit_test(human_stands_still),
     cmocka_unit_test(sliding_block_decelerates_by_mu_g),
+    cmocka_unit_test(a_small_block_feels_a_thick_mat),
     cmocka_unit_test(a_moving_mat_carries_a_block),
     cmocka_unit_test(block_sticks_on_a_slope),
     cmocka_unit_test(dropped_rod_comes_to_rest),

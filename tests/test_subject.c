@@ -147,7 +147,7 @@ static void soft_distance_is_from_the_outside_of_layers(void **state)
   const kg_ground mat = {.thickness = 0.3, .stiffness = 1e4, .friction = -1.0};
   const kg_sdf_shape shapes[] = {
     {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.0, 0.0}, .radius = 0.2},
-    {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.0, 0.1}, .radius = 0.3},
+    {.kind = KG_SHAPE_SPHERE, .a = {0.0, 1.0, 0.3}, .radius = 0.3},
     {.kind = KG_SHAPE_INTERSECTION,
      .children = {1, 2},
      .ground = kg_scene_add_ground(&scene, &mat)},
@@ -161,7 +161,7 @@ static void soft_distance_is_from_the_outside_of_layers(void **state)
   assert_close(v.normal.y, -1.0, 1e-14);
   assert_close(kg_scene_surface(&scene, kg_vec3_make(0.0, 0.35, 0.0)), v.distance, 0.0);
   /* the second ball is nearer than the first but a part only */
-  assert_close(kg_soft_distance(&scene, kg_vec3_make(0.0, 1.0, 0.6)).distance, 0.1, 1e-14);
+  assert_close(kg_soft_distance(&scene, kg_vec3_make(0.0, 1.0, 0.8)).distance, 0.3, 1e-14);
 }
 
 /* Ten sole nodes at rest: the layer's force at the height carries a tenth of the weight, unless the
