@@ -156,6 +156,25 @@ static inline row4 row4_load3(const double *p)
 #endif
 }
 
+/* First half and second half added up. */
+static inline row4 row8_fold(row8 a)
+{
+#ifdef KG_ROW8_IS_VECTOR
+  return row4_add(__builtin_shufflevector(a, a, 0, 1, 2, 3),
+                  __builtin_shufflevector(a, a, 4, 5, 6, 7));
+#else
+  return row4_add(a.a, a.b);
+#endif
+}
+
+/* Sums of the numbers of four rows. */
+static inline row4 row4_sums(row4 r0, row4 r1, row4 r2, row4 r3)
+{
+  row4 r[4] = {r0, r1, r2, r3};
+  row4_transpose(r);
+  return row4_add(row4_add(r[0], r[1]), row4_add(r[2], r[3]));
+}
+
 /* Six numbers and two zeros. */
 static inline row8 row8_make6(double a, double b, double c, double d, double e, double f)
 {
