@@ -762,8 +762,8 @@ const cli_command cli_command_correct = {
     "the metrics of the capture beside those of the file that was written.\n"
     "Exit code 1: the file was written, but in some frames no contact explains the motion, or a "
     "step of the simulation did not converge, a lost simulation was set back, or the output is no "
-    "longer near the capture (a frame "
-    "by more than 0.5 m, or 0.3 m in the mean); the message names the frames.",
+    "longer near the capture (a frame by more than 0.5 m in the mean of its joints, or all frames "
+    "by more than 0.3 m in the mean); the message names the frames.",
   .examples =
     (const char *const[]){
       "kinegrad correct walk.bvh -o walk_fixed.bvh",
