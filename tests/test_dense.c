@@ -2,6 +2,7 @@
 #include "support.h"
 
 #include <fcntl.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -30,6 +31,71 @@ static void lu_solves_a_system_worked_by_hand(void **state)
   kg_dense_lu_solve_transposed(A, pivots, 3, c, 1);
   for (int i = 0; i < 3; i++) {
     assert_close(c[i], i + 1.0, 1e-14);
+  }
+}
+
+enum { SIDE = 72, ROUNDS = 4000, THREADS = 3 };
+
+/* A positive definite matrix with its Cholesky factor, LU factor and a solution of each. */
+typedef struct solved {
+  double L[SIDE * SIDE], LU[SIDE * SIDE], x[SIDE], y[SIDE];
+} solved;
+
+static void solve_both(solved *s)
+{
+  int pivots[SIDE];
+  for (int i = 0; i < SIDE; i++) {
+    for (int j = 0; j < SIDE; j++) {
+      s->L[i * SIDE + j] = cos(0.7 * (i - j)) / (1 + abs(i - j)) + (i == j ? SIDE : 0);
+    }
+    s->x[i] = s->y[i] = sin(i + 1.0);
+  }
+  memcpy(s->LU, s->L, sizeof s->LU);
+  const bool good = kg_dense_cholesky_factor(s->L, SIDE) && kg_dense_lu_factor(s->LU, pivots, SIDE);
+  if (!good) {
+    memset(s, 0, sizeof *s);
+    return;
+  }
+  kg_dense_cholesky_solve(s->L, SIDE, s->x, 1);
+  kg_dense_lu_solve(s->LU, pivots, SIDE, s->y, 1);
+}
+
+typedef struct solver_thread {
+  pthread_t thread;
+  const solved *expected;
+  solved own;
+  int wrong;
+} solver_thread;
+
+static void *solve_again_and_again(void *user)
+{
+  solver_thread *t = user;
+  for (int k = 0; k < ROUNDS; k++) {
+    solve_both(&t->own);
+    t->wrong += memcmp(&t->own, t->expected, sizeof t->own) != 0;
+  }
+  return NULL;
+}
+
+/* OpenBLAS' serial build alone does not do that */
+static void threads_get_the_same_bits(void **state)
+{
+  (void)state;
+  static solved expected;
+  static solver_thread threads[THREADS];
+  solve_both(&expected);
+  assert_close(expected.x[0], expected.y[0], 1e-14);
+  assert_true(expected.x[0] != 0.0);
+  for (int i = 0; i < THREADS; i++) {
+    threads[i].expected = &expected;
+    assert_int_equal(pthread_create(&threads[i].thread, NULL, solve_again_and_again, &threads[i]),
+                     0);
+  }
+  for (int i = 0; i < THREADS; i++) {
+    pthread_join(threads[i].thread, NULL);
+  }
+  for (int i = 0; i < THREADS; i++) {
+    assert_int_equal(threads[i].wrong, 0);
   }
 }
 
@@ -253,6 +319,7 @@ int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(lu_solves_a_system_worked_by_hand),
+    cmocka_unit_test(threads_get_the_same_bits),
     cmocka_unit_test(singular_matrices_are_reported),
     cmocka_unit_test(cholesky_reads_the_lower_triangle_only),
     cmocka_unit_test(least_move_satisfies_the_conditions_of_optimality),
