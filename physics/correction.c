@@ -48,14 +48,13 @@ static void allocate(kg_correction *c, kg_arena *arena)
   c->slope = KG_ARENA_ARRAY(arena, double, nv);
   c->chol = KG_ARENA_ARRAY(arena, double, square);
   c->M = KG_ARENA_ARRAY(arena, double, square);
-  c->key_of_row = KG_ARENA_ARRAY(arena, int, rows);
   c->touch_of_row = KG_ARENA_ARRAY(arena, int, rows);
   c->G = KG_ARENA_ARRAY(arena, double, (size_t)rows *(size_t)nv);
   c->C = KG_ARENA_ARRAY(arena, double, square);
   c->W = KG_ARENA_ARRAY(arena, double, square);
   c->center = KG_ARENA_ARRAY(arena, double, nv);
   c->b = KG_ARENA_ARRAY(arena, double, rows);
-  c->phi = KG_ARENA_ARRAY(arena, double, rows);
+  c->yield = KG_ARENA_ARRAY(arena, double, rows);
   c->lambda = KG_ARENA_ARRAY(arena, double, rows);
   correction_pose_init(c, arena);
   least_move_init(&c->solver, nv, rows, arena);
@@ -83,7 +82,7 @@ kg_status kg_correction_create(kg_correction **correction, const kg_correction_d
   if (status != KG_OK) {
     kg_self_destroy(c->self);
     kg_arena_release(&arena);
-    return KG_ERR_NO_MEMORY;
+    return status;
   }
   kg_dynamics_set_gravity(c->dynamics, kg_vec3_make(0.0, 0.0, 0.0)); /* its inverse: M a alone */
   *correction = c;
@@ -236,8 +235,6 @@ static bool settle(kg_correction *c, int *iterations)
 static void find_move(kg_correction *c, int *iterations)
 {
   const size_t bytes = (size_t)c->nv * sizeof *c->D;
-  memset(c->D, 0, bytes);
-  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   if (c->def.method == KG_CORRECTION_GRADIENT) {
     correction_descend(c, iterations);
     kg_body_difference(c->def.body, c->D, c->q_now, c->q0);
@@ -263,35 +260,45 @@ static void find_move(kg_correction *c, int *iterations)
   settle(c, iterations);
 }
 
-kg_correction_report kg_correction_apply(kg_correction *correction, double *q, double *v,
-                                         double *moved)
+/* Samples q and, where it is inside, starts there: D = 0, no multipliers. False: nothing to do, or NaN. */
+static bool begin(kg_correction *c, const double *q)
 {
-  KG_ASSERT(correction && q);
-  kg_correction *c = correction;
   const size_t nq_bytes = (size_t)c->def.body->nq * sizeof *q;
-  if (moved) {
-    memset(moved, 0, (size_t)c->nv * sizeof *moved);
-  }
   c->near = CORRECTION_NEAR;
   correction_sample(c, q);
-  kg_correction_report report = {.d_pen_before = c->d_pen,
-                                 .d_pen_after = c->d_pen,
-                                 .lowest = c->lowest,
-                                 .kkt_residual = NAN,
-                                 .converged = c->d_pen <= c->def.tolerance};
-  if (!(c->d_pen > c->def.tolerance)) return report; /* nothing to do, or NaN */
+  if (!(c->d_pen > c->def.tolerance)) return false;
   c->near += CORRECTION_NEAR_SHARE * c->d_pen;
   memcpy(c->q0, q, nq_bytes);
   memcpy(c->q_now, q, nq_bytes);
   correction_sample(c, q);
   correction_factor_mass(c, c->q0);
+  memset(c->D, 0, (size_t)c->nv * sizeof *c->D);
+  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
+  return true;
+}
+
+kg_correction_report kg_correction_apply(kg_correction *correction, double *q, double *v,
+                                         double *moved)
+{
+  KG_ASSERT(correction && q);
+  kg_correction *c = correction;
+  if (moved) {
+    memset(moved, 0, (size_t)c->nv * sizeof *moved);
+  }
+  const bool is_inside = begin(c, q);
+  kg_correction_report report = {.d_pen_before = c->d_pen,
+                                 .d_pen_after = c->d_pen,
+                                 .lowest = c->lowest,
+                                 .kkt_residual = NAN,
+                                 .converged = c->d_pen <= c->def.tolerance};
+  if (!is_inside) return report;
   find_move(c, &report.iterations);
   if (c->def.kkt_tolerance > 0.0) {
     report.kkt_residual = correction_polish(c, &report.iterations);
   }
   correction_go_to(c, c->D);
   if (!(c->d_pen < report.d_pen_before)) return report; /* no better: leave the pose alone */
-  memcpy(q, c->q_now, nq_bytes);
+  memcpy(q, c->q_now, (size_t)c->def.body->nq * sizeof *q);
   if (moved) {
     memcpy(moved, c->D, (size_t)c->nv * sizeof *moved);
   }
@@ -307,23 +314,13 @@ double kg_correction_step(kg_correction *correction, double *q)
 {
   KG_ASSERT(correction && q);
   kg_correction *c = correction;
-  const size_t nq_bytes = (size_t)c->def.body->nq * sizeof *q;
-  c->near = CORRECTION_NEAR;
-  correction_sample(c, q);
-  if (!(c->d_pen > c->def.tolerance)) return c->d_pen;
-  c->near += CORRECTION_NEAR_SHARE * c->d_pen;
-  memcpy(c->q0, q, nq_bytes);
-  memcpy(c->q_now, q, nq_bytes);
-  memset(c->D, 0, (size_t)c->nv * sizeof *c->D);
-  memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
-  correction_factor_mass(c, c->q0);
-  correction_sample(c, q);
+  if (!begin(c, q)) return c->d_pen;
   if (c->def.method == KG_CORRECTION_GRADIENT) {
     (void)correction_gradient_step(c);
   } else {
     correction_least_step(c);
     correction_go_to(c, c->D);
   }
-  memcpy(q, c->q_now, nq_bytes);
+  memcpy(q, c->q_now, (size_t)c->def.body->nq * sizeof *q);
   return c->d_pen;
 }

@@ -1,6 +1,7 @@
 /* Inside physics/: a pose that is moved out of what it touches (kinegrad/correction.h). correction.c
  * has the calls and their order, correction_pose.c what is touched and its derivatives,
- * correction_gradient.c Eq. 11, correction_least.c the least move.
+ * correction_gradient.c Eq. 11, correction_least.c the least move, correction_vjp.c the derivative of
+ * the corrected pose.
  *
  *   q0, q    pose at the start and now, q = q0 (+) D
  *   x_t      sample point of touch t in the world      Phi_t, n_t, H_t   distance and derivatives
@@ -64,7 +65,7 @@ struct kg_correction {
   near_points near_points;
   kg_self *self;               /* NULL: the body is not in its own way */
   kg_self_touch *self_touches; /* (points)                             */
-  kg_scene_hint *hints; /* (points) of the pose before */
+  kg_scene_hint *hints;        /* (points) of the pose before */
 
   /* the last pose sampled */
   kg_vec3 *p;     /* (n) joints                   */
@@ -84,12 +85,12 @@ struct kg_correction {
 
   /* the linearised constraints */
   int rows;
-  int *touch_of_row, *key_of_row; /* (rows)                                           */
-  double *G, *b, *lambda;           /* (rows, nv), (rows), (rows)                      */
-  double *phi;                      /* (rows) Phi where linearised                    */
-  double *multiplier;               /* (keys) of the last solution                    */
-  double *C, *W;                    /* (nv, nv) sum of lambda Hess Phi; model's factor */
-  double *center;                   /* (nv) minimum of the model without constraints  */
+  int *touch_of_row;      /* (rows) of the pose linearised, which is the one sampled */
+  double *G, *b, *lambda; /* (rows, nv), (rows), (rows)                      */
+  double *yield;          /* (rows) g' M^-1 g of those that carry            */
+  double *multiplier;     /* (keys) of the last solution                    */
+  double *C, *W;          /* (nv, nv) sum of lambda Hess Phi; model's factor */
+  double *center;         /* (nv) minimum of the model without constraints  */
   least_move solver;
   correction_adjoint adjoint;
 
@@ -119,6 +120,8 @@ void correction_to_move(const kg_correction *c, double *row);
 /* C[nv*nv] = sum over touches of the scene of multiplier Hess_D Phi, at D = c->D, which is sampled, with
  * correction_tangents done. */
 void correction_curvature(kg_correction *c, const double *multiplier, double *C);
+/* out[nv] = M a */
+void correction_times_mass(const kg_correction *c, const double *a, double *out);
 /* a' M b */
 double correction_metric(const kg_correction *c, const double *a, const double *b);
 
@@ -143,6 +146,12 @@ bool correction_least_move(kg_correction *c, int *iterations);
 double correction_polish(kg_correction *c, int *iterations);
 /* One step from D = 0, which is sampled. */
 void correction_least_step(kg_correction *c);
+
+/* The touch of a row, while the pose linearised is the one sampled. */
+static inline const touch *correction_touch_of(const kg_correction *c, int row)
+{
+  return &c->touches[c->touch_of_row[row]];
+}
 
 static inline double correction_dot(const double *a, const double *b, int n)
 {

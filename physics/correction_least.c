@@ -56,7 +56,7 @@ static double *row_at(const kg_correction *c, int r)
   return c->G + (size_t)r * (size_t)c->nv;
 }
 
-/* Rows G and values phi of the points that take part */
+/* Rows G of the points that take part */
 static void linearise(kg_correction *c)
 {
   correction_tangents(c, c->D);
@@ -67,8 +67,7 @@ static void linearise(kg_correction *c)
     if (!(t->at.distance < near)) continue;
     correction_row(c, t, row_at(c, c->rows));
     correction_to_move(c, row_at(c, c->rows));
-    c->phi[c->rows] = t->at.distance;
-    c->key_of_row[c->rows++] = t->key;
+    c->touch_of_row[c->rows++] = k;
   }
 }
 
@@ -80,16 +79,28 @@ static void set_model(kg_correction *c, double share)
   }
 }
 
+static bool carries(const kg_correction *c, int r)
+{
+  return c->multiplier[correction_touch_of(c, r)->key] > 0.0;
+}
+
+static void find_yields(kg_correction *c)
+{
+  for (int r = 0; r < c->rows; r++) {
+    if (!carries(c, r)) continue;
+    memcpy(c->center, row_at(c, r), (size_t)c->nv * sizeof *c->center);
+    kg_dense_cholesky_solve(c->chol, c->nv, c->center, 1);
+    c->yield[r] = correction_dot(row_at(c, r), c->center, c->nv);
+  }
+}
+
 /* W += weight g g' / (g' M^-1 g) of the rows that carry a multiplier: nothing changes in a problem
  * that makes them equalities, and W need only be positive definite along them. */
 static void stiffen_rows(kg_correction *c, double weight)
 {
   for (int r = 0; r < c->rows; r++) {
-    if (!(c->multiplier[c->key_of_row[r]] > 0.0)) continue;
-    const double *g = row_at(c, r);
-    memcpy(c->center, g, (size_t)c->nv * sizeof *g);
-    kg_dense_cholesky_solve(c->chol, c->nv, c->center, 1);
-    const double scale = weight / correction_dot(g, c->center, c->nv);
+    if (!carries(c, r)) continue;
+    const double *g = row_at(c, r), scale = weight / c->yield[r];
     for (int i = 0; i < c->nv; i++) {
       for (int j = 0; j <= i; j++) {
         c->W[(size_t)i * (size_t)c->nv + (size_t)j] += scale * g[i] * g[j];
@@ -103,14 +114,15 @@ static void stiffen_rows(kg_correction *c, double weight)
  * weight with which active rows were added. */
 static double make_model(kg_correction *c, bool stiff)
 {
-  bool carries = false;
+  bool curved = false;
   for (int k = 0; k < c->key_count; k++) {
-    carries = carries || c->multiplier[k] != 0.0;
+    curved = curved || c->multiplier[k] != 0.0;
   }
-  if (carries) {
+  if (curved) {
     correction_curvature(c, c->multiplier, c->C);
     set_model(c, 1.0);
     if (kg_dense_cholesky_factor(c->W, c->nv)) return 0.0;
+    if (stiff) find_yields(c);
     for (double weight = ROW_WEIGHT; stiff && weight <= 1e4 * ROW_WEIGHT; weight *= 10.0) {
       set_model(c, 1.0);
       stiffen_rows(c, weight);
@@ -129,11 +141,9 @@ static double make_model(kg_correction *c, bool stiff)
 static void stiff_gradient(kg_correction *c, double weight, double *gradient)
 {
   for (int r = 0; r < c->rows && weight > 0.0; r++) {
-    if (!(c->multiplier[c->key_of_row[r]] > 0.0)) continue;
+    if (!carries(c, r)) continue;
     const double *g = row_at(c, r);
-    memcpy(c->D_trial, g, (size_t)c->nv * sizeof *g);
-    kg_dense_cholesky_solve(c->chol, c->nv, c->D_trial, 1);
-    const double scale = weight * c->phi[r] / correction_dot(g, c->D_trial, c->nv);
+    const double scale = weight * correction_touch_of(c, r)->at.distance / c->yield[r];
     for (int i = 0; i < c->nv; i++) {
       gradient[i] += scale * g[i];
     }
@@ -143,13 +153,12 @@ static void stiff_gradient(kg_correction *c, double weight, double *gradient)
 /* goal: min over D' of 1/2 (D' - D)' W (D' - D) + (M D)' (D' - D)  s.t.  phi + G (D' - D) >= 0  (25) */
 static void solve_model(kg_correction *c, double weight)
 {
-  for (int i = 0; i < c->nv; i++) {
-    c->center[i] = correction_dot(c->M + (size_t)i * (size_t)c->nv, c->D, c->nv);
-  }
+  correction_times_mass(c, c->D, c->center);
   stiff_gradient(c, weight, c->center);
   kg_dense_cholesky_solve(c->W, c->nv, c->center, 1);
   for (int r = 0; r < c->rows; r++) {
-    c->b[r] = correction_dot(row_at(c, r), c->center, c->nv) - c->phi[r];
+    c->b[r] =
+      correction_dot(row_at(c, r), c->center, c->nv) - correction_touch_of(c, r)->at.distance;
   }
   least_move_solve(&c->solver, c->W, c->G, c->b, c->rows, CORRECTION_ROW_TOLERANCE, c->goal,
                    c->lambda);
@@ -158,7 +167,7 @@ static void solve_model(kg_correction *c, double weight)
   }
   memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   for (int r = 0; r < c->rows; r++) {
-    c->multiplier[c->key_of_row[r]] = c->lambda[r];
+    c->multiplier[correction_touch_of(c, r)->key] = c->lambda[r];
   }
 }
 
@@ -220,6 +229,17 @@ static bool is_settled(kg_correction *c)
          GAIN_SHARE * correction_metric(c, c->D, c->D);
 }
 
+/* goal from D, which is sampled; mu grows with the multipliers. */
+static void find_goal(kg_correction *c, double *mu)
+{
+  linearise(c);
+  (void)make_model(c, false);
+  solve_model(c, 0.0);
+  for (int r = 0; r < c->rows; r++) {
+    *mu = fmax(*mu, 1.5 * c->lambda[r]);
+  }
+}
+
 bool correction_least_move(kg_correction *c, int *iterations)
 {
   double mu = 0.0, least = INFINITY;
@@ -229,12 +249,7 @@ bool correction_least_move(kg_correction *c, int *iterations)
       least = length2;
       memcpy(c->D_best, c->D, (size_t)c->nv * sizeof *c->D);
     }
-    linearise(c);
-    (void)make_model(c, false);
-    solve_model(c, 0.0);
-    for (int r = 0; r < c->rows; r++) {
-      mu = fmax(mu, 1.5 * c->lambda[r]);
-    }
+    find_goal(c, &mu);
     if ((c->d_pen <= c->def.tolerance && is_settled(c)) || step == STEPS) break;
     if (!step_to_goal(c, mu)) break;
     ++*iterations;
@@ -247,12 +262,7 @@ bool correction_least_move(kg_correction *c, int *iterations)
 void correction_least_step(kg_correction *c)
 {
   double mu = 0.0;
-  linearise(c);
-  (void)make_model(c, false);
-  solve_model(c, 0.0);
-  for (int r = 0; r < c->rows; r++) {
-    mu = fmax(mu, 1.5 * c->lambda[r]);
-  }
+  find_goal(c, &mu);
   (void)step_to_goal(c, mu);
 }
 
@@ -264,12 +274,11 @@ void correction_least_step(kg_correction *c)
 static double kkt_residual(kg_correction *c)
 {
   double *r = c->center, miss = 0.0;
-  for (int i = 0; i < c->nv; i++) {
-    r[i] = correction_dot(c->M + (size_t)i * (size_t)c->nv, c->D, c->nv);
-  }
+  correction_times_mass(c, c->D, r);
   for (int k = 0; k < c->rows; k++) {
-    const double l = c->multiplier[c->key_of_row[k]];
-    miss = fmax(miss, l > 0.0 ? fabs(c->phi[k]) : -c->phi[k]);
+    const touch *t = correction_touch_of(c, k);
+    const double l = c->multiplier[t->key], phi = t->at.distance;
+    miss = fmax(miss, l > 0.0 ? fabs(phi) : -phi);
     for (int i = 0; i < c->nv; i++) {
       r[i] -= l * row_at(c, k)[i];
     }

@@ -303,6 +303,13 @@ void correction_curvature(kg_correction *c, const double *multiplier, double *C)
   }
 }
 
+void correction_times_mass(const kg_correction *c, const double *a, double *out)
+{
+  for (int i = 0; i < c->nv; i++) {
+    out[i] = correction_dot(c->M + (size_t)i * (size_t)c->nv, a, c->nv);
+  }
+}
+
 double correction_metric(const kg_correction *c, const double *a, const double *b)
 {
   double sum = 0.0;

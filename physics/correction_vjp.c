@@ -51,8 +51,7 @@ static bool find_multipliers(kg_correction *c)
     correction_row(c, t, row);
     correction_to_move(c, row);
     c->b[c->rows] = correction_dot(row, c->D, c->nv);
-    c->touch_of_row[c->rows] = k;
-    c->key_of_row[c->rows++] = t->key;
+    c->touch_of_row[c->rows++] = k;
   }
   (void)least_move_solve(&c->solver, c->chol, c->G, c->b, c->rows, CORRECTION_ROW_TOLERANCE,
                          c->goal, c->lambda);
@@ -62,7 +61,7 @@ static bool find_multipliers(kg_correction *c)
   memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
   for (int r = 0; r < c->rows; r++) {
     const bool carries = c->lambda[r] > LEAST_MULTIPLIER * largest;
-    c->multiplier[c->key_of_row[r]] = carries ? c->lambda[r] : 0.0;
+    c->multiplier[correction_touch_of(c, r)->key] = carries ? c->lambda[r] : 0.0;
   }
   for (int i = 0; i < c->nv; i++) {
     c->goal[i] -= c->D[i];
@@ -110,7 +109,7 @@ static bool factor_system(kg_correction *c)
   int kept[CORRECTION_ROWS_MAX];
   a->count = 0;
   for (int r = 0; r < c->rows && a->count < nv; r++) {
-    if (c->multiplier[c->key_of_row[r]] > 0.0 && is_independent(c, r, a->count)) {
+    if (c->multiplier[correction_touch_of(c, r)->key] > 0.0 && is_independent(c, r, a->count)) {
       kept[a->count++] = r;
     }
   }
@@ -122,7 +121,7 @@ static bool factor_system(kg_correction *c)
     }
   }
   for (int k = 0; k < a->count; k++) {
-    correction_row(c, &c->touches[c->touch_of_row[kept[k]]], a->rows + (size_t)k * (size_t)nv);
+    correction_row(c, correction_touch_of(c, kept[k]), a->rows + (size_t)k * (size_t)nv);
     for (int i = 0; i < nv; i++) {
       a->K[(nv + k) * size + i] = a->K[i * size + nv + k] = -c->G[kept[k] * nv + i];
     }

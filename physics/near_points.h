@@ -14,7 +14,7 @@ typedef struct segment_ball {
   int first, count; /* of its points in near_points.points */
   kg_vec3 center;   /* in the segment frame                */
   double radius;
-  double bound;  /* no point of the segment is nearer   */
+  double bound;       /* no point of the segment is nearer   */
   kg_scene_hint hint; /* of its centre                    */
 } segment_ball;
 
