@@ -5,6 +5,8 @@
  * places the most roles wins, the earlier one on a tie. New skeletons are a new row. */
 #include "mocap/mocap.h"
 
+#include "base/read_file.h"
+
 #include <ctype.h>
 #include <stdio.h>
 #include <string.h>

@@ -50,10 +50,6 @@ enum { KG_NUMBER_TEXT = 32 };
  * the length. */
 size_t kg_print_number(char *text, double value);
 
-/* Whole file into arena memory. KG_ERR_READ, KG_ERR_NO_MEMORY. */
-kg_status kg_read_file(char **content, size_t *length, kg_arena *arena, const char *path,
-                       kg_error *error);
-
 /* ---- euler.c: channel values of one joint ---------------------------------------------------- */
 
 /* Angles in degrees, in the order of the channels. */

@@ -1,6 +1,8 @@
 /* Entry for files: the content decides the format, not the extension. */
 #include "mocap/mocap.h"
 
+#include "base/read_file.h"
+
 #include <string.h>
 
 kg_clip_def kg_clip_default_def(void)

@@ -5,6 +5,8 @@
  * orientations are the identity, as a BVH wants them. Leaf bones end in an End Site. */
 #include "mocap/asf.h"
 
+#include "base/read_file.h"
+
 #include <limits.h>
 #include <math.h>
 #include <stdio.h>

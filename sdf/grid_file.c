@@ -134,13 +134,15 @@ kg_status kg_grid_save(const kg_grid *grid, const char *path, kg_error *error)
     return kg_fail(error, KG_ERR_WRITE, path, 0, 0, "the path is too long");
   }
   FILE *file = fopen(partial, "wb");
-  if (!file) return kg_fail(error, KG_ERR_WRITE, path, 0, 0, "%s", strerror(errno));
+  if (!file) {
+    return kg_fail(error, KG_ERR_WRITE, path, 0, 0, "cannot be created: %s", strerror(errno));
+  }
   bool written = write_all(file, grid);
   written = fclose(file) == 0 && written;
   if (!written || rename(partial, path) != 0) {
     const int why = errno;
     remove(partial);
-    return kg_fail(error, KG_ERR_WRITE, path, 0, 0, "%s", strerror(why));
+    return kg_fail(error, KG_ERR_WRITE, path, 0, 0, "cannot be written: %s", strerror(why));
   }
   return KG_OK;
 }
@@ -472,7 +474,9 @@ kg_status kg_grid_load(kg_grid **grid, const char *path, const kg_grid_source *s
   KG_ASSERT(grid && path && (!source || !source->mesh == !!source->field));
   *grid = NULL;
   reader r = {fopen(path, "rb"), path, error, 0};
-  if (!r.file) return kg_fail(error, KG_ERR_READ, path, 0, 0, "%s", strerror(errno));
+  if (!r.file) {
+    return kg_fail(error, KG_ERR_READ, path, 0, 0, "cannot be opened: %s", strerror(errno));
+  }
   kg_status status = read_grid(&r, grid, source, allocator);
   if (status != KG_OK && error && error->path[0] == '\0') {
     snprintf(error->path, sizeof error->path, "%s", path);

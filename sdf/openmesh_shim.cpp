@@ -12,6 +12,7 @@
  * LC_NUMERIC at "C". Its messages are switched off, and stay off, in its two log streams. */
 #include "kinegrad/mesh.h"
 
+#include "base/read_file.h"
 #include "sdf/check.h"
 #include "sdf/mesh_create.h"
 #include "sdf/polygon.h"
@@ -25,7 +26,6 @@
 #include <climits>
 #include <cstdio>
 #include <exception>
-#include <fstream>
 #include <new>
 #include <sstream>
 #include <string>
@@ -242,16 +242,6 @@ std::string lower_extension(const std::string &path)
   return out;
 }
 
-std::string whole_file(const char *path)
-{
-  std::ifstream file(path, std::ios::binary);
-  std::ostringstream content;
-  if (!file || !(content << file.rdbuf())) {
-    throw refusal{KG_ERR_READ, "the mesh file cannot be read, or is empty"};
-  }
-  return content.str();
-}
-
 kg_status check(mesh_file *file, const std::string &extension, kg_error *error)
 {
   if (extension == "obj") return check_obj(file, error);
@@ -267,8 +257,7 @@ void compare(const char *what, long long expected, size_t found)
                                  std::to_string(found) + " could be read"};
 }
 
-void read_soup(soup_importer &soup, const mesh_file &file, const std::string &content,
-               const std::string &extension)
+void read_soup(soup_importer &soup, const mesh_file &file, const std::string &extension)
 {
   if (file.faces == 0) {
     throw refusal{KG_ERR_FORMAT, file.collapsed > 0 ? "no face has three different corners"
@@ -280,7 +269,7 @@ void read_soup(soup_importer &soup, const mesh_file &file, const std::string &co
   OpenMesh::IO::Options options;
   if (file.binary) options += OpenMesh::IO::Options::Binary;
   std::istringstream stream(file.plain_size > 0 ? std::string(file.plain, file.plain_size)
-                                                : content);
+                                                : std::string(file.content, file.size));
   if (!OpenMesh::IO::IOManager().read(stream, "." + extension, soup, options)) {
     throw refusal{KG_ERR_FORMAT, "the file is not a readable " + extension + " mesh"};
   }
@@ -390,6 +379,21 @@ kg_status build(kg_mesh **mesh, soup_importer &soup, const mesh_file &file, doub
   return status;
 }
 
+/* Memory that goes when a refusal passes through, too. */
+struct scoped_arena {
+  explicit scoped_arena(const kg_allocator *allocator)
+  {
+    kg_arena_init(&arena, allocator);
+  }
+  ~scoped_arena()
+  {
+    kg_arena_release(&arena);
+  }
+  scoped_arena(const scoped_arena &) = delete;
+  scoped_arena &operator=(const scoped_arena &) = delete;
+  kg_arena arena;
+};
+
 kg_status read(kg_mesh **mesh, const char *path, double unit_m, kg_mesh_report *report,
                const kg_allocator *allocator, kg_error *error)
 {
@@ -398,17 +402,20 @@ kg_status read(kg_mesh **mesh, const char *path, double unit_m, kg_mesh_report *
     throw refusal{KG_ERR_FORMAT,
                   "the extension \"" + extension + "\" is none of obj, ply, off and stl"};
   }
-  const std::string content = whole_file(path);
-  std::string plain(CHECK_ROOM(content.size()), ' ');
+  scoped_arena memory(allocator);
+  char *content;
   mesh_file file = {};
   file.path = path;
-  file.content = content.data();
-  file.size = content.size();
-  file.plain = &plain[0];
-  const kg_status status = check(&file, extension, error);
+  kg_status status = kg_read_file(&content, &file.size, &memory.arena, path, error);
   if (status != KG_OK) return status;
-  soup_importer soup(std::min(content.size(), size_t(INT_MAX / 4)));
-  read_soup(soup, file, content, extension);
+  if (file.size == 0) throw refusal{KG_ERR_READ, "the mesh file is empty"};
+  std::string plain(CHECK_ROOM(file.size), ' ');
+  file.content = content;
+  file.plain = &plain[0];
+  status = check(&file, extension, error);
+  if (status != KG_OK) return status;
+  soup_importer soup(std::min(file.size, size_t(INT_MAX / 4)));
+  read_soup(soup, file, extension);
   return build(mesh, soup, file, unit_m, report, allocator, error);
 }
 

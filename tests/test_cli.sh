@@ -416,7 +416,7 @@ claim "the mesh is as it was" cmp pit.obj pit_kept.obj
 # a name that is no UTF-8, a byte order mark, a byte 0, letters that a terminal obeys
 odd_name=$(printf 'odd\377.obj')
 run 3 correct "$data/walker.bvh" -o out/x.bvh --scene "$odd_name"
-says "obj: the mesh file cannot be read"
+says "obj: cannot be opened: No such file or directory"
 printf '\357\273\277{"shapes": 3}' >wrong.json
 run 3 correct "$data/walker.bvh" -o out/x.bvh --scene wrong.json
 says "wrong.json:1:12: \"shapes\": expected an array"

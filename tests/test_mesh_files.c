@@ -89,7 +89,7 @@ static void damaged_files_are_refused_and_named(void **state)
     {"text_vertex.obj", KG_ERR_FORMAT, 8, 5, "y of a vertex: expected a number"},
     {"no_faces.obj", KG_ERR_FORMAT, 0, 0, "no faces"},
     {"cut_short.obj", KG_ERR_FORMAT, 15, 6, "three corners"},
-    {"empty.obj", KG_ERR_READ, 0, 0, "empty"},
+    {"empty.obj", KG_ERR_READ, 0, 0, "the mesh file is empty"},
     {"bad_index.off", KG_ERR_FORMAT, 16, 9, "\"60\", expected 0 to 7"},
     {"negative_index.off", KG_ERR_FORMAT, 16, 9, "\"-6\", expected 0 to 7"},
     {"cut_short.off", KG_ERR_FORMAT, 16, 1, "too early: it has 4 of 6 faces"},
@@ -103,7 +103,7 @@ static void damaged_files_are_refused_and_named(void **state)
     {"no_header.ply", KG_ERR_FORMAT, 1, 1, "not a ply file"},
     {"cut_short_text.stl", KG_ERR_FORMAT, 44, 1, "endsolid"},
     {"cut_short_binary.stl", KG_ERR_FORMAT, 0, 0, "12 triangles at byte 80 and be 684 bytes"},
-    {"there_is_no.obj", KG_ERR_READ, 0, 0, "read"},
+    {"there_is_no.obj", KG_ERR_READ, 0, 0, "cannot be opened: No such file"},
     {"cube.txt", KG_ERR_FORMAT, 0, 0, "none of obj"},
     {"cube", KG_ERR_FORMAT, 0, 0, "none of obj"},
   };

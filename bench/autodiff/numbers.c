@@ -1,6 +1,8 @@
 /* Numbers of a data file. */
 #include "bench/autodiff/numbers.h"
 
+#include "base/read_file.h"
+
 #include <math.h>
 #include <stdio.h>
 
