@@ -34,18 +34,68 @@
 namespace
 {
 
-using OpenMesh::FaceHandle;
-using OpenMesh::HalfedgeHandle;
-using OpenMesh::VertexHandle;
-
 /* what is wrong with a file, on its way to kg_error */
 struct refusal {
   kg_status status;
   std::string text;
 };
 
-/* Collects vertices and faces; everything else a file may hold is ignored. */
-class soup_importer : public OpenMesh::IO::BaseImporter
+/* What a reader tells an importer and we do not want to know. OpenMesh demands all of it. */
+class deaf_importer : public OpenMesh::IO::BaseImporter
+{
+public:
+  using C3 = OpenMesh::Vec3uc;
+  using C4 = OpenMesh::Vec4uc;
+  using F2 = OpenMesh::Vec2f;
+  using F3 = OpenMesh::Vec3f;
+  using F4 = OpenMesh::Vec4f;
+  using D3 = OpenMesh::Vec3d;
+  using V = OpenMesh::VertexHandle;
+  using H = OpenMesh::HalfedgeHandle;
+  using E = OpenMesh::EdgeHandle;
+  using F = OpenMesh::FaceHandle;
+  using Status = OpenMesh::Attributes::StatusInfo;
+  /* clang-format off */
+  H add_edge(V, V) override { return H(); }
+  F add_face(H) override { return F(); }
+  size_t n_edges() const override { return 0; }
+  void add_face_texcoords(F, V, const std::vector<F2> &) override {}
+  void add_face_texcoords(F, V, const std::vector<F3> &) override {}
+  void add_texture_information(int, std::string) override {}
+  void request_face_texcoords2D() override {}
+  void set_face_texindex(F, int) override {}
+  void set_halfedge(V, H) override {}
+  void set_next(H, H) override {}
+  void set_face(H, F) override {}
+  void set_normal(V, const F3 &) override {}
+  void set_normal(V, const D3 &) override {}
+  void set_normal(F, const F3 &) override {}
+  void set_normal(F, const D3 &) override {}
+  void set_texcoord(V, const F2 &) override {}
+  void set_texcoord(V, const F3 &) override {}
+  void set_texcoord(H, const F2 &) override {}
+  void set_texcoord(H, const F3 &) override {}
+  void set_color(V, const C3 &) override {}
+  void set_color(V, const C4 &) override {}
+  void set_color(V, const F3 &) override {}
+  void set_color(V, const F4 &) override {}
+  void set_color(E, const C3 &) override {}
+  void set_color(E, const C4 &) override {}
+  void set_color(E, const F3 &) override {}
+  void set_color(E, const F4 &) override {}
+  void set_color(F, const C3 &) override {}
+  void set_color(F, const C4 &) override {}
+  void set_color(F, const F3 &) override {}
+  void set_color(F, const F4 &) override {}
+  void set_status(V, const Status &) override {}
+  void set_status(H, const Status &) override {}
+  void set_status(E, const Status &) override {}
+  void set_status(F, const Status &) override {}
+  /* clang-format on */
+};
+
+/* Collects vertices and faces. */
+class soup_importer : public deaf_importer
 {
 public:
   explicit soup_importer(size_t limit) : limit_(limit)
@@ -56,35 +106,33 @@ public:
   std::vector<int> corners;     /* of all faces, one after the other */
   std::vector<size_t> face_end; /* in corners                        */
 
-  VertexHandle add_vertex(const OpenMesh::Vec3f &p) override
+  V add_vertex(const F3 &p) override
   {
     return add({double(p[0]), double(p[1]), double(p[2])});
   }
-  VertexHandle add_vertex(const OpenMesh::Vec3d &p) override
+  V add_vertex(const D3 &p) override
   {
     return add({p[0], p[1], p[2]});
   }
-  VertexHandle add_vertex() override
+  V add_vertex() override
   {
     return add({0.0, 0.0, 0.0});
   }
-  void set_point(VertexHandle v, const OpenMesh::Vec3f &p) override
+  void set_point(V v, const F3 &p) override
   {
     if (v.idx() >= 0 && size_t(v.idx()) < vertices.size()) {
       vertices[size_t(v.idx())] = {double(p[0]), double(p[1]), double(p[2])};
     }
   }
-
-  FaceHandle add_face(const VHandles &face) override
+  F add_face(const VHandles &face) override
   {
-    for (const VertexHandle &v : face) {
+    for (const V &v : face) {
       corners.push_back(v.idx());
     }
     check(corners.size());
     face_end.push_back(corners.size());
-    return FaceHandle(int(face_end.size()) - 1);
+    return F(int(face_end.size()) - 1);
   }
-
   size_t n_vertices() const override
   {
     return vertices.size();
@@ -93,136 +141,15 @@ public:
   {
     return face_end.size();
   }
-  size_t n_edges() const override
-  {
-    return 0;
-  }
-  bool is_triangle_mesh() const override
-  {
-    return false;
-  }
 
-  OpenMesh::VertexHandle add(const kg_vec3 &p)
+private:
+  V add(const kg_vec3 &p)
   {
     vertices.push_back(p);
     check(vertices.size());
-    return VertexHandle(int(vertices.size()) - 1);
+    return V(int(vertices.size()) - 1);
   }
 
-  /* nothing that a reader asks for beyond this point */
-  using C3 = OpenMesh::Vec3uc;
-  using C4 = OpenMesh::Vec4uc;
-  using F2 = OpenMesh::Vec2f;
-  using F3 = OpenMesh::Vec3f;
-  using F4 = OpenMesh::Vec4f;
-  using D3 = OpenMesh::Vec3d;
-  using Status = OpenMesh::Attributes::StatusInfo;
-  HalfedgeHandle add_edge(VertexHandle, VertexHandle) override
-  {
-    return HalfedgeHandle();
-  }
-  FaceHandle add_face(HalfedgeHandle) override
-  {
-    return FaceHandle();
-  }
-  void add_face_texcoords(FaceHandle, VertexHandle, const std::vector<F2> &) override
-  {
-  }
-  void add_face_texcoords(FaceHandle, VertexHandle, const std::vector<F3> &) override
-  {
-  }
-  void set_face_texindex(FaceHandle, int) override
-  {
-  }
-  void set_halfedge(VertexHandle, HalfedgeHandle) override
-  {
-  }
-  void set_normal(VertexHandle, const F3 &) override
-  {
-  }
-  void set_normal(VertexHandle, const D3 &) override
-  {
-  }
-  void set_color(VertexHandle, const C3 &) override
-  {
-  }
-  void set_color(VertexHandle, const C4 &) override
-  {
-  }
-  void set_color(VertexHandle, const F3 &) override
-  {
-  }
-  void set_color(VertexHandle, const F4 &) override
-  {
-  }
-  void set_texcoord(VertexHandle, const F2 &) override
-  {
-  }
-  void set_status(VertexHandle, const Status &) override
-  {
-  }
-  void set_next(HalfedgeHandle, HalfedgeHandle) override
-  {
-  }
-  void set_face(HalfedgeHandle, FaceHandle) override
-  {
-  }
-  void request_face_texcoords2D() override
-  {
-  }
-  void set_texcoord(HalfedgeHandle, const F2 &) override
-  {
-  }
-  void set_texcoord(VertexHandle, const F3 &) override
-  {
-  }
-  void set_texcoord(HalfedgeHandle, const F3 &) override
-  {
-  }
-  void set_status(HalfedgeHandle, const Status &) override
-  {
-  }
-  void set_color(OpenMesh::EdgeHandle, const C3 &) override
-  {
-  }
-  void set_color(OpenMesh::EdgeHandle, const C4 &) override
-  {
-  }
-  void set_color(OpenMesh::EdgeHandle, const F3 &) override
-  {
-  }
-  void set_color(OpenMesh::EdgeHandle, const F4 &) override
-  {
-  }
-  void set_status(OpenMesh::EdgeHandle, const Status &) override
-  {
-  }
-  void set_normal(FaceHandle, const F3 &) override
-  {
-  }
-  void set_normal(FaceHandle, const D3 &) override
-  {
-  }
-  void set_color(FaceHandle, const C3 &) override
-  {
-  }
-  void set_color(FaceHandle, const C4 &) override
-  {
-  }
-  void set_color(FaceHandle, const F3 &) override
-  {
-  }
-  void set_color(FaceHandle, const F4 &) override
-  {
-  }
-  void set_status(FaceHandle, const Status &) override
-  {
-  }
-  void add_texture_information(int, std::string) override
-  {
-  }
-
-private:
   /* every vertex, and every corner of a face, takes at least a byte of the file: a count beyond
    * that comes from a header that lies */
   void check(size_t count) const
