@@ -6,6 +6,7 @@
  * Parts are ranges of an array of boxes in floats, 32 bytes each, that is divided in place. */
 #include "sdf/bvh.h"
 
+#include "sdf/feature.h"
 #include "sdf/kernels/lanes.h"
 
 #include <float.h>
@@ -321,8 +322,7 @@ static bool mean_axes(const builder *b, const part *of, float turn[3][4])
   const kg_vec3 n = kg_vec3_normalized(sum);
   const double straightness = fmax(fabs(n.x), fmax(fabs(n.y), fabs(n.z)));
   if (!(kg_vec3_norm(sum) > FLAT * of->count && straightness < STRAIGHT)) return false;
-  const kg_vec3 other = fabs(n.x) < 0.6 ? kg_vec3_make(1, 0, 0) : kg_vec3_make(0, 1, 0);
-  const kg_vec3 s = kg_vec3_normalized(kg_vec3_cross(n, other)), t = kg_vec3_cross(n, s);
+  const kg_vec3 s = any_orthogonal(n), t = kg_vec3_cross(n, s);
   const float columns[3][4] = {{(float)s.x, (float)t.x, (float)n.x, 0.0f},
                                {(float)s.y, (float)t.y, (float)n.y, 0.0f},
                                {(float)s.z, (float)t.z, (float)n.z, 0.0f}};
