@@ -14,6 +14,7 @@
 
 typedef struct part {
   double area, enclosed; /* m^2: of the triangles, within the rims */
+  int faces;
 } part;
 
 typedef struct rim {
@@ -109,20 +110,22 @@ static int collect_rims(const topology *topo, rim *rims, int *taken)
   return count;
 }
 
-static void add_areas(const topology *topo, int *parent, part *parts)
+static void add_faces(const topology *topo, int *parent, part *parts)
 {
   for (int i = 0; i < topo->face_count; i++) {
     const int *k = topo->corner[i];
     const kg_vec3 a = topo->vertices[k[0]];
-    parts[find_root(parent, k[0])].area +=
-      0.5 * kg_vec3_norm(kg_vec3_cross(kg_vec3_sub(topo->vertices[k[1]], a),
-                                       kg_vec3_sub(topo->vertices[k[2]], a)));
+    part *of = &parts[find_root(parent, k[0])];
+    of->area += 0.5 * kg_vec3_norm(kg_vec3_cross(kg_vec3_sub(topo->vertices[k[1]], a),
+                                                 kg_vec3_sub(topo->vertices[k[2]], a)));
+    of->faces++;
   }
 }
 
-static bool is_gap(const part *p)
+/* A solid with gaps has three faces at least; two that are folded onto each other enclose nothing. */
+static bool is_solid(const part *p)
 {
-  return p->enclosed < GAP_SHARE * p->area;
+  return p->faces > 2 && p->enclosed < GAP_SHARE * p->area;
 }
 
 static void say_rims(kg_mesh_report *report, const rim *gap, const rim *border)
@@ -130,19 +133,22 @@ static void say_rims(kg_mesh_report *report, const rim *gap, const rim *border)
   if (gap) {
     report_say(
       report,
-      "hole: %d gaps in a surface that is closed but for them, the longest %.4g m round at "
-      "(%.4g, %.4g, %.4g); until they are closed it has no inside, and near them the sign, "
-      "the side of the nearest triangle, may be wrong\n",
-      report->gaps, gap->length, gap->center.x, gap->center.y, gap->center.z);
+      "hole: %d %s in a surface that is closed but for %s, the longest %.4g m round at "
+      "(%.4g, %.4g, %.4g); until %s closed there is no inside, and nearby the sign, the side of "
+      "the nearest triangle, may be wrong\n",
+      report->gaps, word_for(report->gaps, "gap", "gaps"), word_for(report->gaps, "it", "them"),
+      gap->length, gap->center.x, gap->center.y, gap->center.z,
+      word_for(report->gaps, "it is", "they are"));
   }
   if (border) {
-    report_say(
-      report,
-      "open: %d edges belong to one triangle only, on %d borders, the longest %.4g m round "
-      "(%.4g, %.4g, %.4g); such a mesh has no inside, and the sign tells the side of the "
-      "nearest triangle\n",
-      report->boundary_edges, report->borders, border->length, border->center.x, border->center.y,
-      border->center.z);
+    report_say(report,
+               "open: %d %s to one triangle only, on %d %s, the longest %.4g m round "
+               "(%.4g, %.4g, %.4g); such a mesh has no inside, and the sign tells the side of the "
+               "nearest triangle\n",
+               report->boundary_edges,
+               word_for(report->boundary_edges, "edge belongs", "edges belong"), report->borders,
+               word_for(report->borders, "border", "borders"), border->length, border->center.x,
+               border->center.y, border->center.z);
   }
 }
 
@@ -155,14 +161,14 @@ bool boundary_describe(const topology *topo, kg_mesh_report *report, kg_arena *a
   int *taken = KG_ARENA_ARRAY(arena, int, topo->boundary_count);
   if (kg_arena_failed(arena)) return false;
   join_corners(topo, parent);
-  add_areas(topo, parent, parts);
+  add_faces(topo, parent, parts);
   const int count = collect_rims(topo, rims, taken);
   for (int k = 0; k < count; k++) {
     parts[find_root(parent, rims[k].vertex)].enclosed += rims[k].enclosed;
   }
   const rim *gap = NULL, *border = NULL;
   for (int k = 0; k < count; k++) {
-    const bool solid = is_gap(&parts[find_root(parent, rims[k].vertex)]);
+    const bool solid = is_solid(&parts[find_root(parent, rims[k].vertex)]);
     const rim **longest = solid ? &gap : &border;
     report->gaps += solid;
     report->borders += !solid;

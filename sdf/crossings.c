@@ -138,10 +138,11 @@ bool crossings_describe(const topology *topo, kg_mesh_report *report, kg_arena *
   report->crossings = s.count;
   if (s.count > 0) {
     report_say(report,
-               "self-intersection: %s%d pairs of triangles cut through each other, the first at "
+               "self-intersection: %s%d %s of triangles cut through each other, the first at "
                "(%.4g, %.4g, %.4g); inside the overlap the sign may be wrong and the depth is that "
                "to the nearest sheet\n",
-               s.tests_left > 0 ? "" : "at least ", s.count, s.where.x, s.where.y, s.where.z);
+               s.tests_left > 0 ? "" : "at least ", s.count, word_for(s.count, "pair", "pairs"),
+               s.where.x, s.where.y, s.where.z);
   } else if (s.tests_left <= 0) {
     report_say(report, "self-intersection: not searched to the end, too many triangles overlap\n");
   }

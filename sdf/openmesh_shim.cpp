@@ -229,29 +229,30 @@ struct odd_polygons {
   {
     report->degenerate += collapsed;
     if (collapsed > 0) {
-      report_say(report, "%d faces with fewer than three different corners were left out\n",
-                 collapsed);
+      report_say(report, "%d %s fewer than three different corners and %s left out\n", collapsed,
+                 word_for(collapsed, "face has", "faces have"), word_for(collapsed, "was", "were"));
     }
     if (repeated > 0) {
       report_say(report,
-                 "repeated: %lld corners name a vertex that their face has already and were left "
-                 "out; an outline with a bridge to a hole is read right from off and ply only\n",
-                 repeated);
+                 "repeated: %lld %s a vertex that the face has already and %s left out; an outline "
+                 "with a bridge to a hole is read right from off and ply only\n",
+                 repeated, word_for(repeated, "corner names", "corners name"),
+                 word_for(repeated, "was", "were"));
     }
     report->bent = bent;
     report->tangled = tangled;
     if (bent > 0) {
-      report_say(
-        report,
-        "bent: %d polygons are not flat, by up to %.3g m, the first at (%.4g, %.4g, %.4g); "
-        "the surface there depends on how they are cut into triangles\n",
-        bent, most_bent, bent_at.x, bent_at.y, bent_at.z);
+      report_say(report,
+                 "bent: %d %s not flat, by up to %.3g m, the first at (%.4g, %.4g, %.4g); "
+                 "the surface there depends on how it is cut into triangles\n",
+                 bent, word_for(bent, "polygon is", "polygons are"), most_bent, bent_at.x,
+                 bent_at.y, bent_at.z);
     }
     if (tangled > 0) {
       report_say(report,
-                 "tangled: the outlines of %d polygons cross themselves, the first at (%.4g, %.4g, "
-                 "%.4g); their triangles overlap\n",
-                 tangled, tangled_at.x, tangled_at.y, tangled_at.z);
+                 "tangled: %d %s, the first at (%.4g, %.4g, %.4g); the triangles there overlap\n",
+                 tangled, word_for(tangled, "polygon crosses itself", "polygons cross themselves"),
+                 tangled_at.x, tangled_at.y, tangled_at.z);
     }
   }
 };

@@ -2,6 +2,8 @@
  * of Newell's normal (the sum of cross products along the outline, twice the area of its shadow). */
 #include "sdf/polygon.h"
 
+#include "sdf/feature.h"
+
 #include <math.h>
 
 /* the polygon seen against its normal, so that it turns left */
@@ -96,46 +98,67 @@ static bool clip_ears(outline *o, int *triangles, int n)
   return good;
 }
 
-static void measure(polygon_cut *cut, const kg_vec3 *p, int n, kg_vec3 normal)
+static double farthest(const kg_vec3 *p, int n)
+{
+  double most = 0.0;
+  for (int k = 1; k < n; k++) {
+    most = fmax(most, kg_vec3_norm(kg_vec3_sub(p[k], p[0])));
+  }
+  return most;
+}
+
+static double bend(const kg_vec3 *p, int n, kg_vec3 normal)
 {
   double mean = 0.0, low = INFINITY, high = -INFINITY;
   for (int k = 0; k < n; k++) {
-    const kg_vec3 d = kg_vec3_sub(p[k], p[0]);
-    const double height = kg_vec3_dot(d, normal);
+    const double height = kg_vec3_dot(kg_vec3_sub(p[k], p[0]), normal);
     mean += height / n;
     low = fmin(low, height);
     high = fmax(high, height);
-    cut->size = fmax(cut->size, kg_vec3_norm(d));
   }
-  cut->bent = fmax(high - mean, mean - low);
+  return fmax(high - mean, mean - low);
+}
+
+/* The triangles of the fan cancel: some have an area although all together have none. */
+static bool is_bow_tie(const kg_vec3 *p, int n, double straight)
+{
+  for (int k = 1; k + 1 < n; k++) {
+    const kg_vec3 cross = kg_vec3_cross(kg_vec3_sub(p[k], p[0]), kg_vec3_sub(p[k + 1], p[0]));
+    if (kg_vec3_norm(cross) > straight) return n > 3;
+  }
+  return false;
+}
+
+static void cut_fan(int *triangles, int n)
+{
+  for (int k = 2; k < n; k++) {
+    triangles[3 * (k - 2)] = 0;
+    triangles[3 * (k - 2) + 1] = k - 1;
+    triangles[3 * (k - 2) + 2] = k;
+  }
 }
 
 polygon_cut polygon_triangles(int *triangles, int *work, const kg_vec3 *corners, int n)
 {
-  polygon_cut cut = {0};
+  const double size = farthest(corners, n);
+  polygon_cut cut = {.size = size};
+  outline o = {.p = corners, .next = work, .straight = ROUNDING * size * size};
   const kg_vec3 normal = newell_normal(corners, n);
   const double area = kg_vec3_norm(normal);
-  outline o = {.p = corners, .next = work};
-  bool fan = n == 3 || !(area > 0.0) || !isfinite(area);
-  if (!fan) {
+  const bool has_plane = area > o.straight && isfinite(area);
+  if (n > 3 && has_plane) {
     const kg_vec3 unit = kg_vec3_scale(1.0 / area, normal);
-    const kg_vec3 side =
-      fabs(unit.x) < 0.6 ? kg_vec3_make(1.0, 0.0, 0.0) : kg_vec3_make(0.0, 1.0, 0.0);
-    o.e1 = kg_vec3_normalized(kg_vec3_cross(side, unit));
+    o.e1 = any_orthogonal(unit);
     o.e2 = kg_vec3_cross(unit, o.e1);
-    measure(&cut, corners, n, unit);
-    o.straight = ROUNDING * cut.size * cut.size;
-    fan = is_convex(&o, n);
-    cut.too_long = !fan && n > POLYGON_MOST_CONCAVE;
-  }
-  if (fan || cut.too_long) {
-    for (int k = 2; k < n; k++) {
-      triangles[3 * (k - 2)] = 0;
-      triangles[3 * (k - 2) + 1] = k - 1;
-      triangles[3 * (k - 2) + 2] = k;
+    cut.bent = bend(corners, n, unit);
+    const bool is_concave = !is_convex(&o, n);
+    cut.too_long = is_concave && n > POLYGON_MOST_CONCAVE;
+    if (is_concave && !cut.too_long) {
+      cut.tangled = !clip_ears(&o, triangles, n);
+      return cut;
     }
-  } else {
-    cut.tangled = !clip_ears(&o, triangles, n);
   }
+  cut.tangled = !has_plane && is_bow_tie(corners, n, o.straight);
+  cut_fan(triangles, n);
   return cut;
 }

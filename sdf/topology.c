@@ -417,28 +417,32 @@ static void describe(const topology *topo, kg_mesh_report *report)
 {
   kg_vec3 at = topo->degenerate_at;
   if (report->degenerate > 0) {
-    report_say(report, "%d triangles without area were removed, the first at (%.4g, %.4g, %.4g)\n",
-               report->degenerate, at.x, at.y, at.z);
+    report_say(
+      report, "%d %s removed, the first at (%.4g, %.4g, %.4g)\n", report->degenerate,
+      word_for(report->degenerate, "triangle without area was", "triangles without area were"),
+      at.x, at.y, at.z);
   }
   at = topo->duplicate_at;
   if (report->duplicates > 0) {
-    report_say(report, "%d repeated triangles were removed, the first at (%.4g, %.4g, %.4g)\n",
-               report->duplicates, at.x, at.y, at.z);
+    report_say(report, "%d repeated %s removed, the first at (%.4g, %.4g, %.4g)\n",
+               report->duplicates, word_for(report->duplicates, "triangle was", "triangles were"),
+               at.x, at.y, at.z);
   }
   at = topo->non_manifold_at;
   if (report->non_manifold_edges > 0) {
-    report_say(report,
-               "not manifold: %d edges belong to more than two triangles, the first at (%.4g, "
-               "%.4g, %.4g)%s\n",
-               report->non_manifold_edges, at.x, at.y, at.z,
-               report->closed ? "" : "; the sign near them may be wrong");
+    report_say(
+      report, "not manifold: %d %s to more than two triangles, the first at (%.4g, %.4g, %.4g)%s\n",
+      report->non_manifold_edges,
+      word_for(report->non_manifold_edges, "edge belongs", "edges belong"), at.x, at.y, at.z,
+      report->closed ? "" : "; the sign nearby may be wrong");
   }
   at = topo->inconsistent_at;
   if (report->inconsistent_edges > 0) {
     report_say(report,
-               "inconsistent: at %d edges the two triangles face opposite ways, the first at "
-               "(%.4g, %.4g, %.4g); the sign near them may be wrong\n",
-               report->inconsistent_edges, at.x, at.y, at.z);
+               "inconsistent: at %d %s the two triangles face opposite ways, the first at "
+               "(%.4g, %.4g, %.4g); the sign nearby may be wrong\n",
+               report->inconsistent_edges, word_for(report->inconsistent_edges, "edge", "edges"),
+               at.x, at.y, at.z);
   }
   if (report->inside_out) {
     report_say(report, "inside out: the triangles faced inwards and were turned around\n");

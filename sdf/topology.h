@@ -38,6 +38,12 @@ kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_coun
 /* Adds a sentence to the report. */
 void report_say(kg_mesh_report *report, const char *format, ...) KG_PRINTF(2, 3);
 
+/* The word that goes with a count. */
+static inline const char *word_for(long long count, const char *one, const char *more)
+{
+  return count == 1 ? one : more;
+}
+
 /* Gaps and borders (sdf/boundary.c): counts them and says what they are. False: no memory. */
 bool boundary_describe(const topology *topo, kg_mesh_report *report, kg_arena *arena);
 

@@ -132,6 +132,34 @@ static void points_on_the_surface_have_a_usable_normal(void **state)
   kg_mesh_destroy(mesh);
 }
 
+/* On an edge but for the rounding of its coordinates, a point has the edge's normal, however large they
+ * are; a little beside it that of the face. */
+static void points_on_edges_far_away_are_on_edges(void **state)
+{
+  (void)state;
+  const double places[] = {0.0, 1e2, 1e4, 1e6};
+  kg_random random = kg_random_make(31);
+  for (size_t i = 0; i < KG_COUNT_OF(places); i++) {
+    soup *s = fresh_soup();
+    add_spiky(s, 1, 9);
+    for (int k = 0; k < s->vertex_count; k++) {
+      s->vertices[k] = kg_vec3_add(s->vertices[k], kg_vec3_make(places[i], 0.7 * places[i], 1.0));
+    }
+    kg_mesh *mesh = build_mesh(s, NULL);
+    const double size = 1.0 + kg_vec3_norm(s->vertices[0]);
+    for (int k = 0; k < 3000; k++) {
+      const int *t = s->triangles[k % s->triangle_count];
+      const kg_vec3 a = s->vertices[t[k % 3]], b = s->vertices[t[(k + 1) % 3]];
+      const kg_vec3 c = s->vertices[t[(k + 2) % 3]];
+      const kg_vec3 x = kg_vec3_lerp(a, b, 0.1 + 0.8 * kg_random_uniform(&random));
+      assert_int_equal(kg_mesh_closest(mesh, x).feature, KG_MESH_EDGE);
+      const kg_vec3 beside = kg_vec3_lerp(x, c, 1e-14 * size);
+      assert_int_equal(kg_mesh_closest(mesh, beside).feature, KG_MESH_FACE);
+    }
+    kg_mesh_destroy(mesh);
+  }
+}
+
 /* Inside a solid, a hair from an edge that opens outwards: the normal points out there too. */
 static void normals_near_a_reflex_edge_point_out(void **state)
 {
@@ -178,12 +206,28 @@ static void gap_in_a_solid_is_named(void **state)
   assert_int_equal(report.boundary_edges, 4);
   assert_int_equal(report.gaps, 1);
   assert_int_equal(report.borders, 0);
-  assert_non_null(strstr(report.text, "hole: 1 gaps"));
+  assert_non_null(strstr(report.text, "hole: 1 gap in a surface that is closed but for it"));
   assert_non_null(strstr(report.text, "longest 4 m round at (0.5, 0.5, 1)"));
   assert_null(strstr(report.text, "open:"));
   assert_close(kg_mesh_distance(mesh, kg_vec3_make(0.5, 0.5, -1)).distance, 1.0, 1e-14);
   assert_close(kg_mesh_distance(mesh, kg_vec3_make(0.5, 0.5, 0.25)).distance, -0.25, 1e-14);
   kg_mesh_destroy(mesh);
+}
+
+/* A box without its lid, of the side 1 and a height h, encloses 1 / (1 + 4 h) of its area. */
+static void gaps_and_borders_part_at_a_quarter(void **state)
+{
+  (void)state;
+  const double shares[] = {0.1, 0.24, 0.2499, 0.2501, 0.26, 0.5};
+  for (size_t i = 0; i < KG_COUNT_OF(shares); i++) {
+    soup *s = fresh_soup();
+    add_box(s, kg_vec3_make(3, -2, 0), kg_vec3_make(4, -1, 0.25 / shares[i] - 0.25));
+    s->triangle_count -= 2;
+    kg_mesh_report report;
+    kg_mesh_destroy(build_mesh(s, &report));
+    assert_int_equal(report.gaps, shares[i] < 0.25 ? 1 : 0);
+    assert_int_equal(report.borders, shares[i] < 0.25 ? 0 : 1);
+  }
 }
 
 /* cells of a bumpy sheet of (n, n); those with index skip are left out */
@@ -527,7 +571,7 @@ static void broken_faces_are_counted_and_named(void **state)
   assert_int_equal(report.triangles, clean);
   assert_true(report.closed);
   assert_non_null(strstr(report.text, "1 repeated"));
-  assert_non_null(strstr(report.text, "1 triangles without area"));
+  assert_non_null(strstr(report.text, "1 triangle without area was removed"));
 
   s->triangle_count = clean;
   const int swap = s->triangles[3][0]; /* one face turned: its three edges disagree */
@@ -544,7 +588,7 @@ static void broken_faces_are_counted_and_named(void **state)
   kg_mesh_destroy(build_mesh(s, &report));
   assert_int_equal(report.non_manifold_edges, 1);
   assert_int_equal(report.boundary_edges, 2);
-  assert_non_null(strstr(report.text, "not manifold: 1 edges"));
+  assert_non_null(strstr(report.text, "not manifold: 1 edge belongs"));
 }
 
 /* A seam of doubled vertices is no hole; a T-junction's sliver does not spoil the neighbours. */
@@ -736,8 +780,10 @@ int main(void)
     cmocka_unit_test(gradient_and_hessian_match_differences),
     cmocka_unit_test(distances_have_lipschitz_constant_one),
     cmocka_unit_test(points_on_the_surface_have_a_usable_normal),
+    cmocka_unit_test(points_on_edges_far_away_are_on_edges),
     cmocka_unit_test(normals_near_a_reflex_edge_point_out),
     cmocka_unit_test(gap_in_a_solid_is_named),
+    cmocka_unit_test(gaps_and_borders_part_at_a_quarter),
     cmocka_unit_test(open_terrain_is_a_sheet),
     cmocka_unit_test(awkward_rims_are_walked),
     cmocka_unit_test(inside_out_mesh_is_turned_around),

@@ -255,14 +255,25 @@ static void odd_polygons_are_told(void **state)
     read_text("bent.obj", "v 5 0 0\nv 6 0 0\nv 6 1 0.4\nv 5 1 0\nf 1 2 3 4\n", &report));
   assert_int_equal(report.bent, 1);
   assert_int_equal(report.tangled, 0);
-  assert_non_null(strstr(report.text, "bent: 1 polygons are not flat, by up to 0."));
+  assert_non_null(strstr(report.text, "bent: 1 polygon is not flat, by up to 0."));
   assert_non_null(strstr(report.text, "the first at (5, 0, 0)"));
   kg_mesh_destroy(read_text("star.obj", /* five corners, two rounds */
                             "v 1 0 0\nv -0.8 0.6 0\nv 0.3 -1 0\nv 0.3 1 0\nv -0.8 -0.6 0\n"
                             "f 1 2 3 4 5\n",
                             &report));
   assert_int_equal(report.tangled, 1);
-  assert_non_null(strstr(report.text, "tangled: the outlines of 1 polygons"));
+  assert_non_null(strstr(report.text, "tangled: 1 polygon crosses itself"));
+  const char *bow_ties[] = {/* both wings alike, one larger, nearly alike; upright */
+                            "v 7 0 0\nv 8 1 0\nv 8 0 0\nv 7 1 0\nf 1 2 3 4\n",
+                            "v 7 0 0\nv 8 1 0\nv 8 0 0\nv 7 1.5 0\nf 1 2 3 4\n",
+                            "v 7 0 0\nv 7 1 1\nv 7 0 1\nv 7 1.000001 0\nf 1 2 3 4\n"};
+  for (size_t i = 0; i < KG_COUNT_OF(bow_ties); i++) {
+    kg_mesh_destroy(read_text("bow_tie.obj", bow_ties[i], &report));
+    assert_int_equal(report.tangled, 1);
+    assert_int_equal(report.gaps, 0); /* nothing is closed but for them */
+    assert_int_equal(report.borders, 1);
+    assert_non_null(strstr(report.text, "crosses itself, the first at (7, 0, 0)"));
+  }
 }
 
 /* A square with a square hole, as one outline that goes to the hole and back over a bridge. */
@@ -317,7 +328,7 @@ static void collapsed_faces_are_left_out(void **state)
   for (size_t i = 0; i < KG_COUNT_OF(cases); i++) {
     kg_mesh_destroy(read_text(cases[i].name, cases[i].text, &report));
     assert_int_equal(report.degenerate, 2);
-    assert_non_null(strstr(report.text, i == 0 || i == 3 ? "2 faces with fewer than three different"
+    assert_non_null(strstr(report.text, i == 0 || i == 3 ? "2 faces have fewer than three different"
                                                          : "2 triangles without area"));
   }
   char bytes[84 + 100] = {0}, path[1024];
