@@ -1,22 +1,29 @@
 /* Balls around the points of segments; the contract is in near_points.h. */
 #include "physics/near_points.h"
 
-/* Ball around the box of a segment's points: not the smallest, near enough. */
-static segment_ball ball_around(const kg_body *body, int segment, const int *points, int count)
+/* Around the box of a segment's points: not the smallest ball, near enough. */
+static void bound_points(segment_ball *ball, const int *points, const kg_body *body)
 {
-  segment_ball ball = {.segment = segment, .count = count};
+  points += ball->first;
   kg_vec3 low = body->points[points[0]].p, high = low;
-  for (int k = 1; k < count; k++) {
+  for (int k = 1; k < ball->count; k++) {
     const kg_vec3 p = body->points[points[k]].p;
     low = kg_vec3_make(fmin(low.x, p.x), fmin(low.y, p.y), fmin(low.z, p.z));
     high = kg_vec3_make(fmax(high.x, p.x), fmax(high.y, p.y), fmax(high.z, p.z));
   }
-  ball.center = kg_vec3_scale(0.5, kg_vec3_add(low, high));
-  for (int k = 0; k < count; k++) {
-    const double r = kg_vec3_norm(kg_vec3_sub(body->points[points[k]].p, ball.center));
-    ball.radius = fmax(ball.radius, r * (1.0 + 1e-12));
+  ball->center = kg_vec3_scale(0.5, kg_vec3_add(low, high));
+  ball->radius = 0.0;
+  for (int k = 0; k < ball->count; k++) {
+    const double r = kg_vec3_norm(kg_vec3_sub(body->points[points[k]].p, ball->center));
+    ball->radius = fmax(ball->radius, r * (1.0 + 1e-12));
   }
-  return ball;
+}
+
+void near_points_refresh(near_points *near, const kg_body *body)
+{
+  for (int b = 0; b < near->count; b++) {
+    bound_points(&near->balls[b], near->points, body);
+  }
 }
 
 void near_points_init(near_points *near, const kg_body *body, kg_arena *arena)
@@ -30,9 +37,10 @@ void near_points_init(near_points *near, const kg_body *body, kg_arena *arena)
       if (body->points[k].segment == i) near->points[filled++] = k;
     }
     if (filled == first) continue;
-    near->balls[near->count] = ball_around(body, i, near->points + first, filled - first);
-    near->balls[near->count++].first = first;
+    near->balls[near->count++] =
+      (segment_ball){.segment = i, .first = first, .count = filled - first};
   }
+  near_points_refresh(near, body);
 }
 
 static bool comes_before(const segment_ball *a, const segment_ball *b)

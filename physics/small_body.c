@@ -82,13 +82,13 @@ static void take_slot(kg_step *s, int i)
   }
 }
 
-static void list_group(kg_step *s, int i, const kg_link_height *height)
+static void list_points(kg_step *s, const segment_ball *ball, const kg_link_height *height)
 {
   kg_small_problem *p = s->small;
-  const point_group *g = &s->groups[i];
+  const int i = ball->segment;
   const kg_link *l = &s->dynamics->links[i];
-  for (int k = g->first; k < g->first + g->count; k++) {
-    const int point = s->order[k];
+  for (int k = ball->first; k < ball->first + ball->count; k++) {
+    const int point = s->points.points[k];
     if (kg_is_above(height, s->def.body->points[point].p, s->contact.layer + REACH)) continue;
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, s->def.body->points[point].p));
     const kg_contact_site at =
@@ -113,10 +113,12 @@ static void list_candidates(kg_step *s)
   memset(p->on_path, 0, (size_t)(n + 1) * sizeof *p->on_path);
   for (int i = 0; i < n; i++) {
     p->slot_of[i] = -1;
-    if (!s->def.scene || s->groups[i].count == 0) continue;
-    const kg_link_height height = kg_step_link_height(s, i);
-    if (!kg_step_is_far(s, i, &height, REACH)) {
-      list_group(s, i, &height);
+  }
+  for (int b = 0; b < s->points.count && s->def.scene; b++) {
+    const segment_ball *ball = &s->points.balls[b];
+    const kg_link_height height = kg_step_link_height(s, ball->segment);
+    if (!kg_step_is_far(s, ball, &height, REACH)) {
+      list_points(s, ball, &height);
     }
   }
   for (int b = 0; b <= n; b++) {

@@ -49,8 +49,7 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
   kg_arena_init(&arena, def->allocator);
   kg_step *s = KG_ARENA_ARRAY(&arena, kg_step, 1);
   kg_step made = {.def = *def, .contact = def->contact};
-  made.order = KG_ARENA_ARRAY(&arena, int, body->point_count);
-  made.groups = KG_ARENA_ARRAY(&arena, point_group, body->segment_count);
+  near_points_init(&made.points, body, &arena);
   made.contacts = KG_ARENA_ARRAY(&arena, kg_step_contact, body->point_count);
   made.turns = KG_ARENA_ARRAY(&arena, kg_mat3, body->segment_count + 1);
   made.scale = KG_ARENA_ARRAY(&arena, double, body->nv);
@@ -79,7 +78,6 @@ kg_status kg_step_create(kg_step **step, const kg_step_def *def)
     kg_arena_release(&arena);
     return status;
   }
-  kg_step_group_points(&made);
   made.arena = arena;
   *s = made;
   *step = s;

@@ -13,44 +13,6 @@
 /* kg m^2: keeps the scale finite for a joint that moves nothing. */
 static const double SMALLEST_INERTIA = 1e-12;
 
-/* ---- points -----------------------------------------------------------------------------------*/
-
-/* Ball around the points of a group: centre of their bounding box, not the smallest ball. */
-static void bound_group(point_group *g, const int *order, const kg_body *body)
-{
-  kg_vec3 low = {INFINITY, INFINITY, INFINITY}, high = {-INFINITY, -INFINITY, -INFINITY};
-  for (int k = g->first; k < g->first + g->count; k++) {
-    const kg_vec3 p = body->points[order[k]].p;
-    low = kg_vec3_make(fmin(low.x, p.x), fmin(low.y, p.y), fmin(low.z, p.z));
-    high = kg_vec3_make(fmax(high.x, p.x), fmax(high.y, p.y), fmax(high.z, p.z));
-  }
-  g->centre = kg_vec3_lerp(low, high, 0.5);
-  g->radius = 0.0;
-  for (int k = g->first; k < g->first + g->count; k++) {
-    const kg_vec3 arm = kg_vec3_sub(body->points[order[k]].p, g->centre);
-    g->radius = fmax(g->radius, kg_vec3_norm(arm));
-  }
-}
-
-void kg_step_group_points(kg_step *s)
-{
-  const kg_body *body = s->def.body;
-  int placed = 0;
-  for (int i = 0; i < body->segment_count; i++) {
-    point_group *g = &s->groups[i];
-    g->first = placed;
-    for (int k = 0; k < body->point_count; k++) {
-      if (body->points[k].segment == i) {
-        s->order[placed++] = k;
-      }
-    }
-    g->count = placed - g->first;
-    if (g->count > 0) {
-      bound_group(g, s->order, body);
-    }
-  }
-}
-
 void kg_step_set_contact(kg_step *step, const kg_contact_params *contact)
 {
   KG_ASSERT(kg_contact_params_are_valid(contact));
@@ -61,11 +23,7 @@ void kg_step_set_contact(kg_step *step, const kg_contact_params *contact)
 void kg_step_refresh(kg_step *step)
 {
   kg_dynamics_refresh(step->dynamics);
-  for (int i = 0; i < step->def.body->segment_count; i++) {
-    if (step->groups[i].count > 0) {
-      bound_group(&step->groups[i], step->order, step->def.body);
-    }
-  }
+  near_points_refresh(&step->points, step->def.body);
   step->evaluated = false;
 }
 
@@ -81,14 +39,13 @@ kg_link_height kg_step_link_height(const kg_step *s, int i)
                           kg_mat3_mul_vec_t(l->R, plane->b)};
 }
 
-static void collide_group(kg_step *s, int i, const kg_link_height *height)
+static void collide_points(kg_step *s, const segment_ball *ball, const kg_link_height *height)
 {
   const kg_body *body = s->def.body;
   const kg_vec3 O = s->dynamics->origin;
-  const point_group *g = &s->groups[i];
-  kg_link *l = &s->dynamics->links[i];
-  for (int k = g->first; k < g->first + g->count; k++) {
-    const int point = s->order[k];
+  kg_link *l = &s->dynamics->links[ball->segment];
+  for (int k = ball->first; k < ball->first + ball->count; k++) {
+    const int point = s->points.points[k];
     if (kg_is_above(height, body->points[point].p, s->contact.layer)) continue;
     const kg_vec3 x = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, body->points[point].p));
     kg_step_contact *c = &s->contacts[s->contact_count];
@@ -103,17 +60,17 @@ static void collide_group(kg_step *s, int i, const kg_link_height *height)
   }
 }
 
-bool kg_step_is_far(const kg_step *s, int i, const kg_link_height *height, double margin)
+bool kg_step_is_far(const kg_step *s, const segment_ball *ball, const kg_link_height *height,
+                    double margin)
 {
-  const point_group *g = &s->groups[i];
-  const kg_link *l = &s->dynamics->links[i];
+  const kg_link *l = &s->dynamics->links[ball->segment];
   if (kg_only_plane(s->def.scene)) {
-    return kg_is_above(height, g->centre, g->radius + s->contact.layer + margin);
+    return kg_is_above(height, ball->center, ball->radius + s->contact.layer + margin);
   }
-  const kg_vec3 centre = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, g->centre));
-  const double way = kg_scene_surface(s->def.scene, kg_vec3_add(s->dynamics->origin, centre));
+  const kg_vec3 center = kg_vec3_add(l->p, kg_mat3_mul_vec(l->R, ball->center));
+  const double way = kg_scene_surface(s->def.scene, kg_vec3_add(s->dynamics->origin, center));
   /* Phi changes by no more than the distance moved */
-  return way > g->radius + s->contact.layer + margin;
+  return way > ball->radius + s->contact.layer + margin;
 }
 
 /* Contact list and external forces of the links at their pose and velocity. */
@@ -122,10 +79,12 @@ static void collide(kg_step *s)
   s->contact_count = 0;
   for (int i = 0; i < s->dynamics->n; i++) {
     s->dynamics->links[i].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
-    if (!s->def.scene || s->groups[i].count == 0) continue;
-    const kg_link_height height = kg_step_link_height(s, i);
-    if (!kg_step_is_far(s, i, &height, 0.0)) {
-      collide_group(s, i, &height);
+  }
+  for (int b = 0; b < s->points.count && s->def.scene; b++) {
+    const segment_ball *ball = &s->points.balls[b];
+    const kg_link_height height = kg_step_link_height(s, ball->segment);
+    if (!kg_step_is_far(s, ball, &height, 0.0)) {
+      collide_points(s, ball, &height);
     }
   }
 }

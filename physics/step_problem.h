@@ -8,14 +8,8 @@
 #include "kinegrad/step.h"
 
 #include "physics/contact_law.h"
+#include "physics/near_points.h"
 #include "physics/tree.h"
-
-/* The points of one segment and a ball around them, to dismiss them all with one distance. */
-typedef struct point_group {
-  int first, count; /* in kg_step.order */
-  kg_vec3 centre;   /* in the segment frame */
-  double radius;
-} point_group;
 
 enum { KG_STEP_RETURNED = 9 };
 
@@ -23,8 +17,7 @@ struct kg_step {
   kg_step_def def;
   kg_dynamics *dynamics;
   kg_contact_params contact; /* the law as it stands: def.contact, softer while a way is sought */
-  int *order;                /* points sorted by segment */
-  point_group *groups;
+  near_points points;        /* in the order of the segments */
   kg_step_contact *contacts;
   int contact_count;
   kg_tree_matrix J;
@@ -46,9 +39,6 @@ struct kg_step {
   kg_arena arena;
 };
 
-/* Sorts the body's points by segment and bounds every group, once. */
-void kg_step_group_points(kg_step *s);
-
 /* The step to be solved; the arrays are borrowed. */
 void kg_step_set_problem(kg_step *s, const double *q, const double *v, const double *tau,
                          double dt);
@@ -63,7 +53,7 @@ bool kg_step_evaluate(double *G, const double *v_end, void *user);
 void kg_step_ensure_evaluated(kg_step *s, const double *x);
 /* Contact list and links at (q, v), the start of the step; after kg_step_set_scale. */
 void kg_step_evaluate_start(kg_step *s);
-/* The same at the point of the last evaluation for whatever external forces the links now have. */
+/* G at the point of the last evaluation, for whatever external forces the links now have. */
 void kg_step_project(kg_step *s, double *G);
 /* s->J = dG/dv', (18), at the point of the last evaluation. */
 void kg_step_linearize(kg_step *s);
@@ -96,9 +86,10 @@ static inline bool kg_is_above(const kg_link_height *h, kg_vec3 p, double distan
   return h->above + kg_vec3_dot(h->across, p) > distance + rounding;
 }
 
-/* No point of segment i is within the layer or `margin` beyond it, as far as the ball around all of
- * them tells; it has points. */
-bool kg_step_is_far(const kg_step *s, int i, const kg_link_height *height, double margin);
+/* No point of the ball's segment, which is at that height, is within the layer or `margin` beyond it,
+ * as far as the ball tells. */
+bool kg_step_is_far(const kg_step *s, const segment_ball *ball, const kg_link_height *height,
+                    double margin);
 
 /* Velocity of the point x (relative to O) of a segment. */
 static inline kg_vec3 kg_point_velocity(const kg_link *l, kg_vec3 x)
