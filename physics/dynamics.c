@@ -219,12 +219,33 @@ void kg_links_project(const kg_dynamics *d, double *tau)
 
 /* ---- composites and derivatives ---------------------------------------------------------------*/
 
+double kg_links_mass(const kg_dynamics *d)
+{
+  double sum = 0.0;
+  for (int i = 0; i < d->n; i++) {
+    sum += d->links[i].mass;
+  }
+  return sum;
+}
+
 void kg_tree_clear_external(kg_dynamics *d)
 {
   for (int b = 0; b <= d->n; b++) {
     d->sum[b].loaded = false;
     d->sum[b].external = (kg_force){{0.0, 0.0, 0.0}, {0.0, 0.0, 0.0}};
   }
+}
+
+kg_composite *kg_tree_load(kg_dynamics *d, int segment)
+{
+  kg_composite *sum = &d->sum[segment + 1];
+  if (!sum->loaded) {
+    memset(&sum->K, 0, sizeof sum->K);
+    memset(&sum->D, 0, sizeof sum->D);
+    sum->loaded = true;
+    sum->external = d->links[segment].external;
+  }
+  return sum;
 }
 
 void kg_tree_prepare(kg_dynamics *d)

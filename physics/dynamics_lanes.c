@@ -47,19 +47,14 @@ void kg_lanes_matrix_destroy(kg_lanes_matrix *matrix)
   }
 }
 
-static bool is_above(const kg_tree *tree, int a, int b)
-{
-  return tree->depth[a] <= tree->depth[b] && tree->path[tree->start[b] + tree->depth[a]] == a;
-}
-
 const double *kg_lanes_matrix_block(const kg_lanes_matrix *matrix, int row, int column)
 {
   const kg_tree *tree = &matrix->dynamics->tree;
   KG_ASSERT(row >= 0 && row < tree->blocks && column >= 0 && column < tree->blocks);
-  if (is_above(tree, column, row)) {
+  if (kg_tree_is_above(tree, column, row)) {
     return matrix->low + 72 * (size_t)(tree->start[row] + tree->depth[column]);
   }
-  if (!matrix->symmetric && is_above(tree, row, column)) {
+  if (!matrix->symmetric && kg_tree_is_above(tree, row, column)) {
     return matrix->up + 72 * (size_t)(tree->start[column] + tree->depth[row]);
   }
   return NULL;
@@ -181,10 +176,7 @@ void kg_dynamics_centroid_lanes(kg_dynamics *dynamics, kg_centroid_lanes *centro
 {
   kg_dynamics *d = dynamics;
   d->kernels->eight->centroid(d->model, d->motion, q, v, NULL);
-  centroid->mass = 0.0;
-  for (int i = 0; i < d->n; i++) {
-    centroid->mass += d->model->links[i].mass;
-  }
+  centroid->mass = kg_links_mass(d);
   copy_motion(d, centroid->com, 0, 3);
   copy_motion(d, centroid->com_dot, 3, 3);
   copy_motion(d, centroid->L, 6, 3);
@@ -204,20 +196,19 @@ void kg_dynamics_point_lanes(kg_dynamics *dynamics, double *x, double *J, const 
   dynamics->kernels->eight->point(dynamics->model, x, J, q, point.segment, s);
 }
 
-void kg_dynamics_mass_matrix_lanes(kg_dynamics *dynamics, kg_lanes_matrix *M, const double *q)
-{
-  KG_ASSERT(M->dynamics->body == dynamics->body);
-  dynamics->kernels->eight->mass_matrix(dynamics->model, &dynamics->tree, M->low, q);
-  M->symmetric = true;
-  M->factored = false;
-}
-
 static void set_kind(kg_lanes_matrix *matrix, bool symmetric)
 {
   if (matrix) {
     matrix->symmetric = symmetric;
     matrix->factored = false;
   }
+}
+
+void kg_dynamics_mass_matrix_lanes(kg_dynamics *dynamics, kg_lanes_matrix *M, const double *q)
+{
+  KG_ASSERT(M->dynamics->body == dynamics->body);
+  dynamics->kernels->eight->mass_matrix(dynamics->model, &dynamics->tree, M->low, q);
+  set_kind(M, true);
 }
 
 void kg_dynamics_inverse_derivatives_lanes(kg_dynamics *dynamics, kg_lanes_matrix *dtau_dq,

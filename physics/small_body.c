@@ -44,23 +44,13 @@ kg_small_problem *kg_small_create(const kg_body *body, kg_arena *arena)
   return p;
 }
 
-/* as the segments are now: masses may have changed since the body was made */
-static double whole_mass(const kg_step *s)
-{
-  double sum = 0.0;
-  for (int i = 0; i < s->dynamics->n; i++) {
-    sum += s->dynamics->links[i].mass;
-  }
-  return sum;
-}
-
 void kg_small_begin(kg_step *s)
 {
   kg_small_problem *p = s->small;
   memset(p->force, 0, (size_t)s->def.body->point_count * sizeof *p->force);
   kg_step_evaluate_start(s);
   double load = 0.0;
-  const double heaviest = LARGEST_LOAD * whole_mass(s);
+  const double heaviest = LARGEST_LOAD * kg_links_mass(s->dynamics);
   for (int k = 0; k < s->contact_count; k++) {
     load += s->contacts[k].force.normal;
   }
@@ -168,14 +158,7 @@ static void linearize_forces(kg_step *s)
   kg_tree_clear_external(d);
   for (int k = 0; k < p->count; k++) {
     const kg_candidate *c = &p->candidates[k];
-    const int i = p->segment[c->slot];
-    kg_composite *sum = &d->sum[i + 1];
-    if (!sum->loaded) {
-      memset(&sum->K, 0, sizeof sum->K);
-      memset(&sum->D, 0, sizeof sum->D);
-      sum->loaded = true;
-      sum->external = d->links[i].external;
-    }
+    kg_composite *sum = kg_tree_load(d, p->segment[c->slot]);
     const kg_mat3 X = kg_mat3_skew(c->trial.x), F = kg_mat3_skew(c->trial.f);
     add_product(&sum->K.ww, 1.0, &F, &X);
     for (int j = 0; j < 9; j++) {
@@ -332,7 +315,7 @@ static double yield_of_all(const double *C, int stride, kg_vec3 x)
 static void find_yields(kg_step *s)
 {
   kg_small_problem *p = s->small;
-  const double least = s->dt / whole_mass(s); /* of the body in one piece */
+  const double least = s->dt / kg_links_mass(s->dynamics); /* of the body in one piece */
   for (int k = 0; k < p->count; k++) {
     kg_candidate *c = &p->candidates[k];
     const double *C = p->nu + (p->segment[c->slot] + 1) * 6 * p->stride + 6 * c->slot;

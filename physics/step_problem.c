@@ -111,16 +111,10 @@ static void linearize_contact(kg_step *s, kg_step_contact *c)
 {
   const int segment = s->def.body->points[c->point].segment;
   const kg_link *l = &s->dynamics->links[segment];
-  kg_composite *sum = &s->dynamics->sum[segment + 1];
+  kg_composite *sum = kg_tree_load(s->dynamics, segment);
   const kg_vec3 x = kg_vec3_sub(c->x, s->dynamics->origin);
   const kg_vec3 u = kg_point_velocity(l, x);
   (void)kg_contact_evaluate(&s->contact, s->def.scene, c->x, u, true, &c->force);
-  if (!sum->loaded) {
-    memset(&sum->K, 0, sizeof sum->K);
-    memset(&sum->D, 0, sizeof sum->D);
-    sum->loaded = true;
-    sum->external = l->external;
-  }
   const kg_mat3 X = kg_mat3_skew(x), F = kg_mat3_skew(c->force.f);
   add_congruent(&sum->K, c->force.df_dx, X);
   /* turning the body turns u: df_du (theta x u) */

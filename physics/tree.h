@@ -39,6 +39,12 @@ typedef struct kg_tree_matrix {
   double *low, *up;
 } kg_tree_matrix;
 
+/* Block a is b or an ancestor of it. */
+static inline bool kg_tree_is_above(const kg_tree *tree, int a, int b)
+{
+  return tree->depth[a] <= tree->depth[b] && tree->path[tree->start[b] + tree->depth[a]] == a;
+}
+
 /* Columns that kg_tree_solve_many takes at a time. */
 enum { KG_TREE_STRIP = 32 };
 
@@ -161,6 +167,8 @@ void kg_links_project(const kg_dynamics *d, double *tau);
 /* S, psi, psi_dot, moved and the sums over subtrees, after kg_links_move. K, D, external and
  * loaded of the sums must hold the segments' own values (kg_tree_clear_external for none). */
 void kg_tree_clear_external(kg_dynamics *d);
+/* The sum of a segment, to which K and D can be added: zero at first, with the link's external force. */
+kg_composite *kg_tree_load(kg_dynamics *d, int segment);
 void kg_tree_prepare(kg_dynamics *d);
 /* The pencil of block b, after kg_tree_prepare:
  *   T = S E,  U = psi E + rate S,  W = psi_dot E + rate moved + acceleration S
@@ -169,6 +177,8 @@ void kg_tree_prepare(kg_dynamics *d);
 void kg_tree_pencil(kg_dynamics *d, int b, const kg_mat3 *E, double rate, double acceleration);
 /* A = S' (d inertial - d external) for the pencil of every block. */
 void kg_tree_jacobian(const kg_dynamics *d, kg_tree_matrix *A);
+/* of all links, as they are now: masses may have changed since the body was made */
+double kg_links_mass(const kg_dynamics *d);
 /* diag(M) at the pose of the links. */
 void kg_links_mass_diagonal(kg_dynamics *d, double *diagonal);
 
