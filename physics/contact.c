@@ -98,8 +98,7 @@ kg_contact_site kg_contact_find(const kg_contact_params *params, const kg_scene 
 /* dn/dx of the unit normal: H, and (1 - n n') H / |grad Phi| where the gradient is not a unit vector */
 static kg_mat3 turn_of(const kg_contact_site *s)
 {
-  const double *h = s->value.hessian;
-  const kg_mat3 H = {{h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2]}};
+  const kg_mat3 H = kg_sdf_hessian(&s->value);
   if (s->slope == 1.0) return H;
   const kg_vec3 n = s->value.normal, Hn = kg_mat3_mul_vec(H, n);
   return kg_mat3_scale(1.0 / s->slope, kg_mat3_add(H, kg_mat3_scale(-1.0, kg_mat3_outer(n, Hn))));
@@ -115,15 +114,6 @@ static kg_mat3 by_curvature(const kg_mat3 *H, kg_vec3 n, kg_vec3 u, double speed
   const kg_mat3 turned =
     kg_mat3_add(kg_mat3_scale(normal, *H), kg_mat3_outer(along, kg_vec3_scale(-push, Hu)));
   return kg_mat3_add(turned, kg_mat3_scale(-1.0, kg_mat3_mul(*dw, ut_x)));
-}
-
-static bool is_flat(const kg_sdf_value *s)
-{
-  bool flat = true;
-  for (int k = 0; k < 6; k++) {
-    flat = flat && s->hessian[k] == 0.0;
-  }
-  return flat;
 }
 
 /* (6) to (8); N the normal law, u relative to the shape, all at one point */
@@ -146,7 +136,7 @@ static void differentiate(const kg_contact_params *p, const kg_contact_site *s, 
   for (int k = 0; k < 9; k += 4) {
     out->df_du.m[k] -= a;
   }
-  if (!is_flat(&s->value)) {
+  if (!kg_sdf_is_flat(&s->value)) {
     const kg_mat3 H = turn_of(s);
     const kg_mat3 dw =
       kg_mat3_add(kg_mat3_scale(a, kg_mat3_identity()), kg_mat3_scale(-b, kg_mat3_outer(u_t, u_t)));
@@ -159,25 +149,26 @@ static void differentiate(const kg_contact_params *p, const kg_contact_site *s, 
   }
 }
 
-bool kg_contact_evaluate_bounded(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
-                                 kg_vec3 u, double bound, bool derivatives, kg_contact_force *out)
+bool kg_contact_evaluate_at(const kg_contact_params *params, const kg_contact_site *site, kg_vec3 u,
+                            double bound, bool derivatives, kg_contact_force *out)
 {
   KG_ASSERT(params->layer > 0.0 && params->stick > 0.0 && params->floor_share > 0.0);
-  const kg_contact_site s = kg_contact_find(params, scene, x);
-  const kg_vec3 n = s.value.normal;
+  const kg_vec3 n = site->value.normal;
+  const double distance = site->value.distance;
   *out = (kg_contact_force){
-    .distance = s.value.distance, .direction = n, .velocity = s.velocity, .ground = s.ground};
-  if (s.value.distance >= kg_contact_reach(params, s.ground)) return false;
-  u = kg_vec3_sub(u, s.velocity);
+    .distance = distance, .direction = n, .velocity = site->velocity, .ground = site->ground};
+  if (distance >= kg_contact_reach(params, site->ground)) return false;
+  u = kg_vec3_sub(u, site->velocity);
   const double speed_n = kg_vec3_dot(n, u);
-  const kg_normal_law N = kg_contact_normal(params, s.ground, s.value.distance, speed_n);
+  const kg_normal_law N = kg_contact_normal(params, site->ground, distance, speed_n);
   const kg_vec3 u_t = kg_vec3_add_scaled(u, -speed_n, n);
   const kg_slip w = kg_slip_at(params, u_t);
   out->normal = N.force;
-  const double mu_fn = kg_contact_friction(params, s.ground) * (bound < 0.0 ? out->normal : bound);
+  const double mu_fn =
+    kg_contact_friction(params, site->ground) * (bound < 0.0 ? out->normal : bound);
   out->f = kg_vec3_add_scaled(kg_vec3_scale(out->normal, n), -mu_fn * w.factor, u_t); /* (4) */
   if (derivatives) {
-    differentiate(params, &s, u, &N, bound, out);
+    differentiate(params, site, u, &N, bound, out);
   }
   return true;
 }

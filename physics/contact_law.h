@@ -33,8 +33,16 @@ typedef struct kg_normal_law {
 
 /* kg_contact_evaluate with friction f_t = -mu bound w in place of -mu f_n w, whose force is then the
  * slope of a convex function of the velocity; bound < 0: the law itself. */
-bool kg_contact_evaluate_bounded(const kg_contact_params *params, const kg_scene *scene, kg_vec3 x,
-                                 kg_vec3 u, double bound, bool derivatives, kg_contact_force *out);
+bool kg_contact_evaluate_at(const kg_contact_params *params, const kg_contact_site *site, kg_vec3 u,
+                            double bound, bool derivatives, kg_contact_force *out);
+static inline bool kg_contact_evaluate_bounded(const kg_contact_params *params,
+                                               const kg_scene *scene, kg_vec3 x, kg_vec3 u,
+                                               double bound, bool derivatives,
+                                               kg_contact_force *out)
+{
+  const kg_contact_site site = kg_contact_find(params, scene, x);
+  return kg_contact_evaluate_at(params, &site, u, bound, derivatives, out);
+}
 
 /* ---- the law without branches, for one point or for many side by side ---------------------------*/
 

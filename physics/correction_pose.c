@@ -242,9 +242,7 @@ static void add_chain_bend(kg_correction *c, double *C)
 /* multiplier J' H J of a touch: columns of J are along the path to the root, by D. Lower blocks. */
 static void add_surface_bend(kg_correction *c, const touch *t, double multiplier, double *C)
 {
-  const double *h = t->at.hessian;
-  const kg_mat3 H = {{h[0], h[3], h[4], h[3], h[1], h[5], h[4], h[5], h[2]}};
-  const kg_mat3 mH = kg_mat3_scale(multiplier, H);
+  const kg_mat3 mH = kg_mat3_scale(multiplier, kg_sdf_hessian(&t->at));
   const int segment = c->def.body->points[t->point].segment;
   for (int i = segment; i >= -1; i = i < 0 ? -2 : c->def.body->segments[i].parent) {
     /* column of joint i: -[x - p_i] R_i Jr_i; of the root's position (block -1): 1 */
@@ -265,15 +263,6 @@ static void add_surface_bend(kg_correction *c, const touch *t, double multiplier
   }
 }
 
-static bool is_flat(const kg_sdf_value *at)
-{
-  bool flat = true;
-  for (int k = 0; k < 6; k++) {
-    flat = flat && at->hessian[k] == 0.0;
-  }
-  return flat;
-}
-
 void correction_curvature(kg_correction *c, const double *multiplier, double *C)
 {
   const int nv = c->nv, n = c->def.body->segment_count;
@@ -289,7 +278,7 @@ void correction_curvature(kg_correction *c, const double *multiplier, double *C)
     add_force(c, segment, t->x, f);
     c->virial[segment] =
       kg_mat3_add(c->virial[segment], kg_mat3_outer(kg_vec3_sub(t->x, c->p[0]), f));
-    if (!is_flat(&t->at)) add_surface_bend(c, t, l, C);
+    if (!kg_sdf_is_flat(&t->at)) add_surface_bend(c, t, l, C);
   }
   add_chain_bend(c, C);
   /* blocks (i, j) with j <= i are there; a diagonal block is symmetric up to rounding */

@@ -73,8 +73,10 @@ static void put_site(const kg_contact_params *law, double *ground, int k,
   ground[10 * KG_LANES + k] = soft->damping;
 }
 
-/* What acts at places of a group. */
-static void find_ground(const kg_step *s, int group, const double *x, double *ground)
+/* What acts at places of a group; sites, where not NULL: the same of each candidate, but on a plane that
+ * is all of the scene. */
+static void find_ground(const kg_step *s, int group, const double *x, double *ground,
+                        kg_contact_site *sites)
 {
   const kg_small_problem *p = s->small;
   const kg_sdf_shape *plane = kg_only_plane(s->def.scene);
@@ -90,6 +92,7 @@ static void find_ground(const kg_step *s, int group, const double *x, double *gr
       const kg_contact_site site =
         kg_contact_find(&s->contact, s->def.scene, kg_vec3_add(O, get3(x, X, k)));
       put_site(&s->contact, ground, k, &site);
+      if (sites) sites[k] = site;
     }
   }
 }
@@ -101,7 +104,7 @@ static double project_all(kg_step *s)
   double sum = 0.0;
   for (int g = 0; g < p->groups; g++) {
     kg_candidate_lanes *l = &p->lanes[g];
-    find_ground(s, g, l->now, l->ground);
+    find_ground(s, g, l->now, l->ground, NULL);
     s->dynamics->kernels->settle_points(&s->contact, s->dt, l->now, l->ground, l->yield, l->bound,
                                         l->at, l->touches, l->way);
   }
@@ -112,16 +115,15 @@ static double project_all(kg_step *s)
 }
 
 /* The law and its derivatives where the ground may be curved, one by one */
-static void differentiate_curved(const kg_step *s, int group)
+static void differentiate_curved(const kg_step *s, int group, const kg_contact_site *sites)
 {
   kg_small_problem *p = s->small;
   kg_candidate_lanes *l = &p->lanes[group];
   for (int k = 0; k < KG_LANES && group * KG_LANES + k < p->count; k++) {
     if (!(l->touches[k] > 0.0)) continue;
     kg_contact_force law;
-    const kg_vec3 x = kg_vec3_add(s->dynamics->origin, get3(l->at, X, k));
-    if (kg_contact_evaluate_bounded(&s->contact, s->def.scene, x, get3(l->at, U, k), l->bound[k],
-                                    true, &law)) {
+    if (kg_contact_evaluate_at(&s->contact, &sites[k], get3(l->at, U, k), l->bound[k], true,
+                               &law)) {
       for (int c = 0; c < 9; c++) {
         l->by_x[c * KG_LANES + k] = law.df_dx.m[c];
         l->by_u[c * KG_LANES + k] = law.df_du.m[c];
@@ -135,7 +137,8 @@ static void linearize_group(const kg_step *s, int group)
 {
   const kg_physics_kernels *kernels = s->dynamics->kernels;
   kg_candidate_lanes *l = &s->small->lanes[group];
-  find_ground(s, group, l->at, l->there);
+  kg_contact_site sites[KG_LANES];
+  find_ground(s, group, l->at, l->there, sites);
   const double *u = l->at + U * KG_LANES;
   kernels->law_forces(&s->contact, l->there, u, l->bound, l->law);
   for (int k = 0; k < 3 * KG_LANES; k++) {
@@ -143,7 +146,7 @@ static void linearize_group(const kg_step *s, int group)
   }
   kernels->law_derivatives(&s->contact, l->there, u, l->bound, l->touches, l->by_x, l->by_u);
   if (!kg_only_plane(s->def.scene)) {
-    differentiate_curved(s, group);
+    differentiate_curved(s, group, sites);
   }
 }
 
