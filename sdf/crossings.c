@@ -8,9 +8,8 @@
  * A sign counts only when it exceeds the rounding of the sum (filter of [SHEW] J. R. Shewchuk,
  * Adaptive precision floating-point arithmetic, Discrete Comput. Geom. 18, 1997), so that touching
  * is never taken for crossing. */
-#include "sdf/crossings.h"
-
 #include "sdf/boxes.h"
+#include "sdf/topology.h"
 
 enum { TESTS_PER_TRIANGLE = 400, TESTS_AT_LEAST = 100000 };
 

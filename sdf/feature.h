@@ -1,4 +1,5 @@
-/* Distance to a point and to a straight edge, shared by shapes and meshes. Internal to sdf/. */
+/* Distance to a point and to a straight edge, and values seen from elsewhere: shared by shapes, meshes
+ * and scenes. Internal to sdf/. */
 #ifndef KG_SDF_FEATURE_H
 #define KG_SDF_FEATURE_H
 
@@ -41,6 +42,17 @@ static inline kg_sdf_value edge_feature(kg_vec3 d, kg_vec3 t, kg_vec3 fallback)
 static inline kg_sdf_value point_feature(kg_vec3 d, kg_vec3 fallback)
 {
   return edge_feature(d, kg_vec3_make(0.0, 0.0, 0.0), fallback);
+}
+
+/* of -Phi: the same surface from its other side */
+static inline kg_sdf_value negated_value(kg_sdf_value v)
+{
+  v.distance = -v.distance;
+  v.normal = kg_vec3_scale(-1.0, v.normal);
+  for (int k = 0; k < 6; k++) {
+    v.hessian[k] = -v.hessian[k];
+  }
+  return v;
 }
 
 /* value given in axes whose columns are R, expressed in the outer axes: n -> R n, H -> R H R' */

@@ -13,7 +13,7 @@
 #include "sdf/grid_internal.h"
 
 #include "sdf/feature.h"
-#include "sdf/mesh_parts.h"
+#include "sdf/mesh_internal.h"
 
 #include <limits.h>
 #include <pthread.h>
@@ -164,7 +164,7 @@ typedef struct local_mesh {
 static void local_corners(int triangle, kg_vec3 out[3], const void *user)
 {
   const local_mesh *local = user;
-  (void)mesh_slot(local->mesh, local->slot[triangle], out);
+  mesh_corners(local->mesh, local->slot[triangle], out);
   for (int k = 0; k < 3; k++) {
     out[k] = kg_vec3_sub(out[k], local->origin);
   }
@@ -275,14 +275,16 @@ static void fit_node(const local_mesh *local, int index, int first, int end)
   }
 }
 
+/* Each triangle once: a packet that is not full repeats its last one. */
 static bool collect_slots(local_mesh *local, kg_arena *arena)
 {
-  const int slots = mesh_slot_count(local->mesh);
+  const bvh *tree = &local->mesh->tree;
+  const int slots = BVH_LEAF * tree->packet_count;
   local->slot = kg_arena_take(arena, (size_t)slots * sizeof *local->slot, 64);
   if (!local->slot) return false;
   for (int slot = 0; slot < slots; slot++) {
-    kg_vec3 unused[3];
-    if (mesh_slot(local->mesh, slot, unused)) local->slot[local->count++] = slot;
+    const bool repeats = slot % BVH_LEAF > 0 && tree->face[slot] == tree->face[slot - 1];
+    if (!repeats) local->slot[local->count++] = slot;
   }
   return true;
 }
@@ -549,7 +551,7 @@ kg_status kg_grid_create(kg_grid **grid, const kg_grid_def *def, kg_error *error
     return status;
   }
   built->source = def->source;
-  built->is_continuous = !def->source.mesh || mesh_is_closed(def->source.mesh);
+  built->is_continuous = !def->source.mesh || def->source.mesh->is_closed;
   built->has_closest = def->source.mesh != NULL;
   kg_arena scratch;
   kg_arena_init(&scratch, def->allocator);

@@ -11,7 +11,6 @@
  * sdf/kernels/search.c finds the closest triangle. */
 #include "sdf/feature.h"
 #include "sdf/mesh_internal.h"
-#include "sdf/mesh_parts.h"
 
 /* From here on (m) a mesh is a point. */
 #define FAR_AWAY 1e18
@@ -132,19 +131,9 @@ static kg_sdf_value far_value(kg_vec3 x)
  * rounding, and the side of any one says nothing. */
 static bool is_surely_outside(const kg_mesh *mesh, kg_vec3 x)
 {
-  const kg_vec3 lo = mesh->lo, hi = mesh->hi;
+  const kg_vec3 lo = mesh->tree.lo, hi = mesh->tree.hi;
   return mesh->is_closed &&
          (x.x < lo.x || x.y < lo.y || x.z < lo.z || x.x > hi.x || x.y > hi.y || x.z > hi.z);
-}
-
-static kg_sdf_value negated(kg_sdf_value v)
-{
-  v.distance = -v.distance;
-  v.normal = kg_vec3_scale(-1.0, v.normal);
-  for (int i = 0; i < 6; i++) {
-    v.hessian[i] = -v.hessian[i];
-  }
-  return v;
 }
 
 static kg_vec3 edge_normal(const kg_mesh *mesh, int face, int side)
@@ -169,7 +158,7 @@ static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *c)
   if (c->on == FACE) {
     const double height = kg_vec3_dot(n, kg_vec3_sub(x, c->of.a));
     const kg_sdf_value out = {height, n, {0.0}};
-    return height < 0.0 && is_surely_outside(mesh, x) ? negated(out) : out;
+    return height < 0.0 && is_surely_outside(mesh, x) ? negated_value(out) : out;
   }
   const bool edge = c->on >= EDGE_AB;
   const kg_vec3 N = pseudo_normal(mesh, c);
@@ -183,7 +172,7 @@ static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *c)
   if (out.distance < FEATURE_TINY) { /* the fallback normal already points outwards */
     return (kg_sdf_value){-out.distance, out.normal, {0.0}};
   }
-  return negated(out);
+  return negated_value(out);
 }
 
 /* ---- queries --------------------------------------------------------------------------------- */
@@ -191,7 +180,7 @@ static kg_sdf_value value_of(const kg_mesh *mesh, kg_vec3 x, const closest *c)
 /* How far the distance of the search and that of the value may be apart: they round differently. */
 static double rounding(const kg_mesh *mesh, kg_vec3 x)
 {
-  return 1e-15 * (kg_vec3_norm(x) + kg_vec3_norm(mesh->lo) + kg_vec3_norm(mesh->hi));
+  return 1e-15 * (kg_vec3_norm(x) + kg_vec3_norm(mesh->tree.lo) + kg_vec3_norm(mesh->tree.hi));
 }
 
 /* Slot of the closest triangle, or -1. Looks a little beyond limit; the value decides. */
@@ -278,8 +267,8 @@ bool kg_mesh_touches_ball(const kg_mesh *mesh, kg_vec3 center, double radius)
 
 void kg_mesh_bounds(const kg_mesh *mesh, kg_vec3 *lo, kg_vec3 *hi)
 {
-  *lo = mesh->lo;
-  *hi = mesh->hi;
+  *lo = mesh->tree.lo;
+  *hi = mesh->tree.hi;
 }
 
 /* ---- single triangles ------------------------------------------------------------------------ */
@@ -288,23 +277,12 @@ void kg_mesh_bounds(const kg_mesh *mesh, kg_vec3 *lo, kg_vec3 *hi)
  * triangles whose distances differ by 1e-6 of them differ by 1e-3 in direction. */
 #define SURE_SIDE 0.02
 
-int mesh_slot_count(const kg_mesh *mesh)
-{
-  return BVH_LEAF * mesh->tree.packet_count;
-}
-
-bool mesh_slot(const kg_mesh *mesh, int slot, kg_vec3 out[3])
+void mesh_corners(const kg_mesh *mesh, int slot, kg_vec3 out[3])
 {
   const triangle t = triangle_in(&mesh->tree, slot);
   out[0] = t.a;
   out[1] = kg_vec3_add(t.a, t.u);
   out[2] = kg_vec3_add(t.a, t.v);
-  return slot % BVH_LEAF == 0 || mesh->tree.face[slot] != mesh->tree.face[slot - 1];
-}
-
-bool mesh_is_closed(const kg_mesh *mesh)
-{
-  return mesh->is_closed;
 }
 
 bool mesh_value_on(const kg_mesh *mesh, kg_vec3 x, int slot, kg_sdf_value *out)

@@ -1,8 +1,6 @@
 /* Triangle meshes: from triangles to flat arrays, hierarchy and pseudo-normals. */
 #include "sdf/mesh_internal.h"
 
-#include "sdf/crossings.h"
-#include "sdf/mesh_create.h"
 #include "sdf/topology.h"
 
 enum { AT_ONCE = 256 };
@@ -61,8 +59,6 @@ static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
   mesh->source = topo->source;
   mesh->normal = topo->normal;
   mesh->odd_normals = topo->odd_normals;
-  mesh->lo = topo->lo;
-  mesh->hi = topo->hi;
   mesh->vertex_normals = KG_ARENA_ARRAY(&mesh->arena, kg_vec3, topo->vertex_count);
   if (!mesh->vertex_normals) return false;
   set_vertex_normals(mesh, topo);
@@ -70,8 +66,8 @@ static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
                            .corner = (const int(*)[3])topo->corner,
                            .normal = topo->normal,
                            .count = topo->face_count,
-                           .lo = mesh->lo,
-                           .hi = mesh->hi};
+                           .lo = topo->lo,
+                           .hi = topo->hi};
   return bvh_build(&mesh->tree, &input, &mesh->arena, scratch);
 }
 

@@ -14,8 +14,8 @@
 
 #include "base/read_file.h"
 #include "sdf/check.h"
-#include "sdf/mesh_create.h"
 #include "sdf/polygon.h"
+#include "sdf/topology.h"
 
 #include <OpenMesh/Core/IO/IOManager.hh>
 #include <OpenMesh/Core/IO/importer/BaseImporter.hh>

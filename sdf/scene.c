@@ -166,16 +166,6 @@ static kg_sdf_value simple_value(const kg_sdf_shape *shape, kg_vec3 x, kg_mesh_h
   }
 }
 
-static kg_sdf_value negated(kg_sdf_value v)
-{
-  v.distance = -v.distance;
-  v.normal = kg_vec3_scale(-1.0, v.normal);
-  for (int k = 0; k < 6; k++) {
-    v.hessian[k] = -v.hessian[k];
-  }
-  return v;
-}
-
 /* docs/theory/sdf.md (31): (A + B)/2 + psi(|A - B|), psi(s) = -s/2 - r/6 (1 - s/r)^3, for s < r */
 static kg_sdf_value blend(const kg_sdf_value *a, const kg_sdf_value *b, double r)
 {
@@ -226,7 +216,7 @@ static bool combined_value(const kg_scene *scene, const kg_sdf_shape *s, kg_vec3
   if (!shape_value(scene, B, x, s->kind == KG_SHAPE_INTERSECTION ? limit : INFINITY, &b)) {
     return false;
   }
-  if (s->kind == KG_SHAPE_DIFFERENCE) b = negated(b);
+  if (s->kind == KG_SHAPE_DIFFERENCE) b = negated_value(b);
   *out = a.distance >= b.distance ? a : b;
   return true;
 }

@@ -1,4 +1,5 @@
-/* From a heap of triangles to faces, edges and a report of what is wrong. Internal to sdf/. */
+/* From a heap of triangles to faces, edges and a report of what is wrong, and on to a mesh. Internal to
+ * sdf/. */
 #ifndef KG_SDF_TOPOLOGY_H
 #define KG_SDF_TOPOLOGY_H
 
@@ -30,7 +31,8 @@ typedef struct topology {
   kg_vec3 degenerate_at, duplicate_at, non_manifold_at, inconsistent_at;
 } topology;
 
-/* The vertices are from scratch, all that belongs to faces and edges from arena. Turns a closed mesh of negative volume around. Errors as kg_mesh_create. */
+/* The vertices are from scratch, all that belongs to faces and edges from arena. Turns a closed mesh
+ * of negative volume around. Errors as kg_mesh_create. */
 kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_count,
                          const int *triangles, int triangle_count, kg_mesh_report *report,
                          kg_arena *arena, kg_arena *scratch, kg_error *error);
@@ -46,6 +48,17 @@ static inline const char *word_for(long long count, const char *one, const char 
 
 /* Gaps and borders (sdf/boundary.c): counts them and says what they are. False: no memory. */
 bool boundary_describe(const topology *topo, kg_mesh_report *report, kg_arena *arena);
+
+/* Triangles that cut through each other (sdf/crossings.c): pairs without a common corner of which one
+ * is cut by an edge of the other, beyond rounding; pairs that only touch or lie in one plane are none.
+ * Work is bounded: when it runs out, the rest of the triangles is left unsearched and the report says
+ * so. False: no memory. */
+bool crossings_describe(const topology *topo, kg_mesh_report *report, kg_arena *arena);
+
+/* kg_mesh_create (sdf/mesh_build.c), and if wanted that search, which takes longer. */
+kg_status mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
+                      const int *triangles, int triangle_count, bool search_crossings,
+                      kg_mesh_report *report, const kg_allocator *allocator, kg_error *error);
 
 #ifdef __cplusplus
 }
