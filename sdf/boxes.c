@@ -4,12 +4,8 @@
 #include <float.h>
 #include <math.h>
 
-typedef struct item {
-  float lo[3], hi[3];
-} item;
-
 typedef struct builder {
-  const item *items;
+  const boxes_box *items; /* of the triangles */
   boxes *out;
   int node_count;
 } builder;
@@ -26,11 +22,11 @@ static float above(double value)
   return (double)f < value ? nextafterf(f, FLT_MAX) : f;
 }
 
-static item item_of(const kg_vec3 p[3])
+boxes_box boxes_around(const kg_vec3 p[3])
 {
   const double v[3][3] = {
     {p[0].x, p[1].x, p[2].x}, {p[0].y, p[1].y, p[2].y}, {p[0].z, p[1].z, p[2].z}};
-  item out;
+  boxes_box out;
   for (int i = 0; i < 3; i++) {
     out.lo[i] = below(fmin(v[i][0], fmin(v[i][1], v[i][2])));
     out.hi[i] = above(fmax(v[i][0], fmax(v[i][1], v[i][2])));
@@ -41,7 +37,7 @@ static item item_of(const kg_vec3 p[3])
 /* twice the centre */
 static float center(const builder *b, int position, int axis)
 {
-  const item *t = &b->items[b->out->order[position]];
+  const boxes_box *t = &b->items[b->out->order[position]];
   return t->lo[axis] + t->hi[axis];
 }
 
@@ -110,7 +106,7 @@ static void set_box(boxes_node *node, const builder *b, int first, int end)
     node->hi[i] = -INFINITY;
   }
   for (int k = first; k < end; k++) {
-    const item *t = &b->items[b->out->order[k]];
+    const boxes_box *t = &b->items[b->out->order[k]];
     for (int i = 0; i < 3; i++) {
       node->lo[i] = fminf(node->lo[i], t->lo[i]);
       node->hi[i] = fmaxf(node->hi[i], t->hi[i]);
@@ -127,7 +123,7 @@ static void build_node(builder *b, int index, int first, int end)
     node->first = first;
     return;
   }
-  const int middle = first + (end - first) / 2;
+  const int middle = boxes_middle(first, end);
   split_at(b, longest_axis(b, first, end), first, end, middle);
   node->count = 0;
   node->first = b->node_count;
@@ -139,7 +135,7 @@ static void build_node(builder *b, int index, int first, int end)
 bool boxes_build(boxes *out, int count, boxes_corners *corners, const void *user, kg_arena *arena)
 {
   KG_ASSERT(count > 0);
-  item *items = KG_ARENA_ARRAY(arena, item, count);
+  boxes_box *items = KG_ARENA_ARRAY(arena, boxes_box, count);
   out->order = KG_ARENA_ARRAY(arena, int, count);
   /* leaves hold at least two triangles, but for a root that is one */
   out->nodes = KG_ARENA_ARRAY(arena, boxes_node, count + 1);
@@ -147,7 +143,7 @@ bool boxes_build(boxes *out, int count, boxes_corners *corners, const void *user
   for (int k = 0; k < count; k++) {
     kg_vec3 p[3];
     corners(k, p, user);
-    items[k] = item_of(p);
+    items[k] = boxes_around(p);
     out->order[k] = k;
   }
   builder b = {items, out, 1};

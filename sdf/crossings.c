@@ -77,25 +77,7 @@ static void try_pair(search *s, int face, const kg_vec3 t[3], int other)
   }
 }
 
-typedef struct float_box {
-  float lo[3], hi[3]; /* rounded outwards */
-} float_box;
-
-static float_box box_of(const kg_vec3 t[3])
-{
-  float_box box;
-  const double v[3][3] = {
-    {t[0].x, t[1].x, t[2].x}, {t[0].y, t[1].y, t[2].y}, {t[0].z, t[1].z, t[2].z}};
-  for (int i = 0; i < 3; i++) {
-    const float lo = (float)fmin(v[i][0], fmin(v[i][1], v[i][2]));
-    const float hi = (float)fmax(v[i][0], fmax(v[i][1], v[i][2]));
-    box.lo[i] = lo - 1.2e-7f * fabsf(lo);
-    box.hi[i] = hi + 1.2e-7f * fabsf(hi);
-  }
-  return box;
-}
-
-static bool overlaps(const boxes_node *node, const float_box *box)
+static bool overlaps(const boxes_node *node, const boxes_box *box)
 {
   for (int i = 0; i < 3; i++) {
     if (node->lo[i] > box->hi[i] || node->hi[i] < box->lo[i]) return false;
@@ -107,7 +89,7 @@ static void search_face(search *s, int face)
 {
   kg_vec3 t[3];
   face_corners(face, t, s->topo);
-  const float_box box = box_of(t);
+  const boxes_box box = boxes_around(t);
   int stack[BOXES_STACK], top = 0;
   stack[top++] = 0;
   while (top > 0 && s->tests_left > 0) {

@@ -269,7 +269,7 @@ static void fit_node(const local_mesh *local, int index, int first, int end)
   }
   const boxes_node *node = &local->tree.nodes[index];
   if (node->count == 0) {
-    const int middle = first + (end - first) / 2; /* as boxes_build halves */
+    const int middle = boxes_middle(first, end);
     fit_node(local, node->first, first, middle);
     fit_node(local, node->first + 1, middle, end);
   }
