@@ -5,6 +5,8 @@
 
 #include "kinegrad/base.h"
 
+#include <string.h>
+
 #ifdef __cplusplus
 extern "C" {
 #endif
@@ -24,6 +26,18 @@ typedef struct mesh_file {
 
 /* facets of a text STL without normals get some */
 #define CHECK_ROOM(size) ((size) + (size) / 4 + 64)
+
+/* Behind what the plain copy holds. */
+static inline void check_put(mesh_file *file, const void *bytes, size_t count)
+{
+  memcpy(file->plain + file->plain_size, bytes, count);
+  file->plain_size += count;
+}
+
+static inline void check_put_text(mesh_file *file, const char *text)
+{
+  check_put(file, text, strlen(text));
+}
 
 /* KG_ERR_FORMAT with line and column, or in a binary file with the byte in the text.
  * KG_ERR_UNSUPPORTED: legal, not read. */

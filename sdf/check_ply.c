@@ -4,6 +4,7 @@
  * after the other without gaps, so that one wrong length makes everything after it nonsense. */
 #include "sdf/check.h"
 
+#include "sdf/bytes.h"
 #include "sdf/scan.h"
 
 #include <limits.h>
@@ -230,20 +231,10 @@ static kg_status header(ply *p)
   return scan_fail(s, "the ply header has no end");
 }
 
-/* ---- the plain copy ----------------------------------------------------------------------------*/
-
-/* OpenMesh gives up on elements it does not know: coordinates and corners alone, in the file's own
+/* ---- the plain copy ----------------------------------------------------------------------------
+ *
+ * OpenMesh gives up on elements it does not know: coordinates and corners alone, in the file's own
  * types and order of bytes. Every word and byte of it was in the file. */
-static void put(ply *p, const void *bytes, size_t count)
-{
-  memcpy(p->file->plain + p->file->plain_size, bytes, count);
-  p->file->plain_size += count;
-}
-
-static void put_text(ply *p, const char *text)
-{
-  put(p, text, strlen(text));
-}
 
 /* Lists may begin with uchar or int, as OpenMesh has it; what was checked fits, and in a text the
  * type does not show. */
@@ -255,45 +246,34 @@ static const char *plain_name(const ply *p, const number_type *type, bool length
 
 static void put_header(ply *p)
 {
-  put_text(p, "ply\nformat ");
-  put_text(p, p->text ? "ascii" : p->big ? "binary_big_endian" : "binary_little_endian");
-  put_text(p, " 1.0\n");
+  check_put_text(p->file, "ply\nformat ");
+  check_put_text(p->file, p->text  ? "ascii"
+                          : p->big ? "binary_big_endian"
+                                   : "binary_little_endian");
+  check_put_text(p->file, " 1.0\n");
   for (int n = 0; n < 2; n++) {
     const element *e = &p->elements[n];
     char line[64];
     snprintf(line, sizeof line, "element %s %lld\n", n == 0 ? "vertex" : "face", e->count);
-    put_text(p, line);
+    check_put_text(p->file, line);
     for (int k = 0; k < e->property_count; k++) {
       const property *q = &e->properties[k];
       if (q->role == OTHER) continue;
       snprintf(line, sizeof line, "property %s%s%s%s %s\n", q->length ? "list " : "",
                q->length ? plain_name(p, q->length, true) : "", q->length ? " " : "",
                plain_name(p, q->value, false), q->name);
-      put_text(p, line);
+      check_put_text(p->file, line);
     }
   }
-  put_text(p, "end_header\n");
+  check_put_text(p->file, "end_header\n");
 }
 
 /* ---- body --------------------------------------------------------------------------------------*/
 
 static double binary_value(const unsigned char *bytes, const number_type *type, bool big)
 {
-  uint64_t bits = 0;
-  for (int k = 0; k < type->bytes; k++) {
-    bits |= (uint64_t)bytes[big ? type->bytes - 1 - k : k] << (8 * k);
-  }
-  if (type->real && type->bytes == 8) {
-    double value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-  }
-  if (type->real) {
-    const uint32_t half = (uint32_t)bits;
-    float value;
-    memcpy(&value, &half, sizeof value);
-    return (double)value;
-  }
+  const uint64_t bits = bytes_value(bytes, type->bytes, big);
+  if (type->real) return type->bytes == 8 ? bytes_double(bits) : (double)bytes_float(bits);
   const double top = ldexp(1.0, 8 * type->bytes);
   const double value = (double)bits;
   return type->negative && value >= 0.5 * top ? value - top : value;
@@ -322,8 +302,8 @@ static kg_status text_value(ply *p, const element *e, long long i, const number_
   }
   *out = (double)whole; /* of real numbers only the form counts */
   if (keep) {
-    put(p, s->word, s->length);
-    put_text(p, " ");
+    check_put(p->file, s->word, s->length);
+    check_put_text(p->file, " ");
   }
   return KG_OK;
 }
@@ -342,7 +322,7 @@ static kg_status binary_next(ply *p, const element *e, long long i, const number
                    i + 1, e->count);
   }
   *out = binary_value(p->at, type, p->big);
-  if (keep) put(p, p->at, (size_t)type->bytes);
+  if (keep) check_put(p->file, p->at, (size_t)type->bytes);
   p->at += type->bytes;
   return KG_OK;
 }

@@ -1,6 +1,7 @@
 /* OBJ, OFF and STL: every vertex, face and index, one line at a time. */
 #include "sdf/check.h"
 
+#include "sdf/bytes.h"
 #include "sdf/scan.h"
 
 #include <float.h>
@@ -8,21 +9,14 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 /* ---- the plain copy ----------------------------------------------------------------------------*/
 
 /* Words take one blank or line end each, as they did in the file: the copy is no longer than it. */
-static void put(mesh_file *file, const char *text, size_t length, bool first)
+static void put_word(mesh_file *file, const char *text, size_t length, bool first)
 {
-  if (!first) file->plain[file->plain_size++] = ' ';
-  memcpy(file->plain + file->plain_size, text, length);
-  file->plain_size += length;
-}
-
-static void put_text(mesh_file *file, const char *text)
-{
-  put(file, text, strlen(text), true);
+  if (!first) check_put(file, " ", 1);
+  check_put(file, text, length);
 }
 
 static kg_status number(scan *s, mesh_file *file, const char *what, bool first)
@@ -32,7 +26,7 @@ static kg_status number(scan *s, mesh_file *file, const char *what, bool first)
     return scan_fail(s, "%s: expected a number below 1e18, found \"%s\"", what,
                      scan_quoted(s).text);
   }
-  put(file, s->word, s->length, first);
+  put_word(file, s->word, s->length, first);
   return KG_OK;
 }
 
@@ -43,7 +37,7 @@ static kg_status vertex(scan *s, mesh_file *file, bool first)
     const kg_status status = number(s, file, axes[i], first && i == 0);
     if (status != KG_OK) return status;
   }
-  put_text(file, "\n");
+  check_put_text(file, "\n");
   return KG_OK;
 }
 
@@ -71,7 +65,7 @@ static kg_status obj_face(scan *s, mesh_file *file, long long seen)
   int corners = 0;
   long long first[2] = {0, 0}, last = 0, changes = 0;
   bool is_face = false;
-  put_text(file, "f");
+  check_put_text(file, "f");
   while (scan_word(s)) {
     long long index;
     size_t length;
@@ -82,7 +76,7 @@ static kg_status obj_face(scan *s, mesh_file *file, long long seen)
       return scan_fail(s, "a face uses vertex %lld, expected 1 to %lld%s", index,
                        index < 0 ? seen : file->vertices, index < 0 ? " back from here" : "");
     }
-    put(file, s->word, length, false);
+    put_word(file, s->word, length, false);
     const long long v = index < 0 ? seen + 1 + index : index;
     is_face = is_third(first, v) || is_face;
     changes += v != last;
@@ -90,7 +84,7 @@ static kg_status obj_face(scan *s, mesh_file *file, long long seen)
     corners++;
   }
   if (corners < 3) return scan_fail(s, "a face needs three corners, found %d", corners);
-  put_text(file, "\n");
+  check_put_text(file, "\n");
   file->faces += is_face;
   file->collapsed += !is_face;
   file->corners += is_face ? changes - (last == first[0]) : 0;
@@ -123,7 +117,7 @@ kg_status check_obj(mesh_file *file, kg_error *error)
     kg_status status = KG_OK;
     if (!scan_word(&s)) continue;
     if (scan_is(&s, "v")) {
-      put_text(file, "v");
+      check_put_text(file, "v");
       status = vertex(&s, file, false);
       seen++;
     } else if (scan_is(&s, "f") || scan_is(&s, "fo")) {
@@ -187,7 +181,7 @@ static kg_status off_face(scan *s, mesh_file *file)
     return scan_fail(s, "expected the number of corners of a face, three or more, found \"%s\"",
                      scan_quoted(s).text);
   }
-  put(file, s->word, s->length, true);
+  put_word(file, s->word, s->length, true);
   for (long long k = 0; k < corners; k++) {
     long long index;
     if (!scan_word(s)) {
@@ -197,9 +191,9 @@ static kg_status off_face(scan *s, mesh_file *file)
       return scan_fail(s, "a face uses vertex \"%s\", expected 0 to %lld", scan_quoted(s).text,
                        file->vertices - 1);
     }
-    put(file, s->word, s->length, false);
+    put_word(file, s->word, s->length, false);
   }
-  put_text(file, "\n");
+  check_put_text(file, "\n");
   return KG_OK;
 }
 
@@ -233,15 +227,6 @@ kg_status check_off(mesh_file *file, kg_error *error)
 
 enum { STL_HEADER = 84, STL_FACET = 50, STL_CORNERS = 12 };
 
-static uint32_t little_endian(const char *bytes)
-{
-  uint32_t value = 0;
-  for (int k = 4; k-- > 0;) {
-    value = value * 256u + (unsigned char)bytes[k];
-  }
-  return value;
-}
-
 /* OpenMesh puts corners together whose coordinates differ by FLT_MIN at most. */
 static bool is_collapsed(const float *p)
 {
@@ -262,8 +247,7 @@ static kg_status stl_binary(mesh_file *file, kg_error *error)
     float corners[9];
     const size_t begin = STL_HEADER + (size_t)i * STL_FACET + STL_CORNERS;
     for (size_t k = 0; k < 9; k++) {
-      const uint32_t bits = little_endian(file->content + begin + 4 * k);
-      memcpy(&corners[k], &bits, sizeof bits);
+      corners[k] = bytes_float(bytes_little(file->content + begin + 4 * k, 4));
       if (!(fabsf(corners[k]) < 1e18f)) {
         return kg_fail(error, KG_ERR_FORMAT, file->path, 0, 0,
                        "byte %zu: a corner of triangle %lld is not a usable point: %g",
@@ -302,15 +286,15 @@ static kg_status stl_facet(scan *s, mesh_file *file)
   float corners[9] = {0};
   kg_status status = stl_line(s, "facet", "normal", false);
   if (status == KG_OK) status = stl_line(s, "outer", "loop", !filled_line(s));
-  put_text(file, "facet normal 0 0 1\nouter loop\n");
+  check_put_text(file, "facet normal 0 0 1\nouter loop\n");
   for (int k = 0; k < 3 && status == KG_OK; k++) {
     status = stl_line(s, "vertex", NULL, !filled_line(s));
-    put_text(file, "vertex");
+    check_put_text(file, "vertex");
     const size_t from = file->plain_size;
     if (status == KG_OK) status = vertex(s, file, false);
     if (status == KG_OK) take_corner(file, from, corners + 3 * k);
   }
-  put_text(file, "endloop\nendfacet\n");
+  check_put_text(file, "endloop\nendfacet\n");
   if (status == KG_OK) status = stl_line(s, "endloop", NULL, !filled_line(s));
   if (status == KG_OK) status = stl_line(s, "endfacet", NULL, !filled_line(s));
   const bool collapsed = is_collapsed(corners);
@@ -325,7 +309,7 @@ static kg_status stl_text(mesh_file *file, kg_error *error)
   scan s = scan_of(file->path, file->content, file->size, error);
   bool inside = false;
   file->faces = 0;
-  put_text(file, "solid\n");
+  check_put_text(file, "solid\n");
   while (filled_line(&s)) {
     kg_status status = KG_OK;
     if (!inside) {
@@ -338,7 +322,7 @@ static kg_status stl_text(mesh_file *file, kg_error *error)
     }
     if (status != KG_OK) return status;
   }
-  put_text(file, "endsolid\n");
+  check_put_text(file, "endsolid\n");
   return inside ? scan_fail(&s, "the text STL ends without endsolid") : KG_OK;
 }
 
@@ -348,7 +332,7 @@ kg_status check_stl(mesh_file *file, kg_error *error)
   const bool text = scan_token(&first) && scan_is(&first, "solid");
   file->vertices = -1;
   if (file->size >= STL_HEADER) {
-    file->faces = little_endian(file->content + STL_HEADER - 4);
+    file->faces = (long long)bytes_little(file->content + STL_HEADER - 4, 4);
     if ((long long)((file->size - STL_HEADER) / STL_FACET) == file->faces) {
       return stl_binary(file, error);
     }

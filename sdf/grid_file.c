@@ -1,5 +1,5 @@
-/* Grids in files: docs/formats/grid.md. Numbers are written byte by byte, the least significant
- * first, on every machine. */
+/* Grids in files: docs/formats/grid.md. */
+#include "sdf/bytes.h"
 #include "sdf/grid_internal.h"
 
 #include <errno.h>
@@ -24,35 +24,16 @@ static uint64_t fnv(uint64_t sum, const unsigned char *bytes, size_t count)
   return sum;
 }
 
-static void put(unsigned char *out, uint64_t value, int bytes)
-{
-  for (int k = 0; k < bytes; k++) {
-    out[k] = (unsigned char)(value >> (8 * k));
-  }
-}
-
-static uint64_t get(const unsigned char *in, int bytes)
-{
-  uint64_t value = 0;
-  for (int k = bytes; k-- > 0;) {
-    value = value << 8 | in[k];
-  }
-  return value;
-}
-
 static void put_double(unsigned char *out, double value)
 {
   uint64_t bits;
   memcpy(&bits, &value, sizeof bits);
-  put(out, bits, 8);
+  bytes_put_little(out, bits, 8);
 }
 
 static double get_double(const unsigned char *in)
 {
-  const uint64_t bits = get(in, 8);
-  double value;
-  memcpy(&value, &bits, sizeof value);
-  return value;
+  return bytes_double(bytes_little(in, 8));
 }
 
 static void put_floats(unsigned char *out, const float *values, size_t count)
@@ -60,15 +41,14 @@ static void put_floats(unsigned char *out, const float *values, size_t count)
   for (size_t i = 0; i < count; i++) {
     uint32_t bits;
     memcpy(&bits, &values[i], sizeof bits);
-    put(out + 4 * i, bits, 4);
+    bytes_put_little(out + 4 * i, bits, 4);
   }
 }
 
 static void get_floats(float *values, const unsigned char *in, size_t count)
 {
   for (size_t i = 0; i < count; i++) {
-    const uint32_t bits = (uint32_t)get(in + 4 * i, 4);
-    memcpy(&values[i], &bits, sizeof bits);
+    values[i] = bytes_float(bytes_little(in + 4 * i, 4));
   }
 }
 
@@ -86,17 +66,18 @@ static void make_header(unsigned char out[HEADER], const kg_grid *grid)
   const grid_view *g = &grid->view;
   memset(out, 0, HEADER);
   memcpy(out, magic, sizeof magic);
-  put(out + 8, VERSION, 4);
-  put(out + 12,
-      (grid->is_continuous ? FLAG_CONTINUOUS : 0u) | (grid->has_closest ? FLAG_CLOSEST : 0u), 4);
+  bytes_put_little(out + 8, VERSION, 4);
+  bytes_put_little(
+    out + 12,
+    (grid->is_continuous ? FLAG_CONTINUOUS : 0u) | (grid->has_closest ? FLAG_CLOSEST : 0u), 4);
   put_double(out + 16, g->lo.x);
   put_double(out + 24, g->lo.y);
   put_double(out + 32, g->lo.z);
   put_double(out + 40, g->spacing);
   for (int k = 0; k < 3; k++) {
-    put(out + 48 + 4 * k, (uint64_t)g->n[k], 4);
+    bytes_put_little(out + 48 + 4 * k, (uint64_t)g->n[k], 4);
   }
-  put(out + 60, (uint64_t)g->count, 4);
+  bytes_put_little(out + 60, (uint64_t)g->count, 4);
 }
 
 static bool write_nodes(FILE *file, const float *node, size_t total, uint64_t *sum)
@@ -123,7 +104,7 @@ static bool write_all(FILE *file, const kg_grid *grid)
     const float *node = g->node + 4 * grid_node_at(block, 0, 0, 0);
     if (!write_nodes(file, node, GRID_BLOCK_NODES, &sum)) return false;
   }
-  put(end, sum, CHECKSUM);
+  bytes_put_little(end, sum, CHECKSUM);
   return fwrite(end, 1, CHECKSUM, file) == CHECKSUM;
 }
 
@@ -174,12 +155,12 @@ static bool is_place(double v)
 static kg_status check_header(const reader *r, const unsigned char *bytes, header *out)
 {
   if (memcmp(bytes, magic, sizeof magic) != 0) return REFUSE(r, "not a grid file of kinegrad");
-  const unsigned version = (unsigned)get(bytes + 8, 4);
+  const unsigned version = (unsigned)bytes_little(bytes + 8, 4);
   if (version != VERSION) {
     return kg_fail(r->error, KG_ERR_UNSUPPORTED, r->path, 0, 0,
                    "byte 8: version %u of the format, expected %d", version, VERSION);
   }
-  *out = (header){.flags = (unsigned)get(bytes + 12, 4),
+  *out = (header){.flags = (unsigned)bytes_little(bytes + 12, 4),
                   .lo = {get_double(bytes + 16), get_double(bytes + 24), get_double(bytes + 32)},
                   .spacing = get_double(bytes + 40)};
   if (out->flags > (FLAG_CONTINUOUS | FLAG_CLOSEST)) {
@@ -191,7 +172,7 @@ static kg_status check_header(const reader *r, const unsigned char *bytes, heade
   }
   double total = 1.0;
   for (int k = 0; k < 3; k++) {
-    const uint64_t n = get(bytes + 48 + 4 * k, 4);
+    const uint64_t n = bytes_little(bytes + 48 + 4 * k, 4);
     if (n < 2 || n > INT_MAX) {
       return REFUSE(r, "byte %d: %llu nodes along an axis, expected two or more", 48 + 4 * k,
                     (unsigned long long)n);
@@ -207,7 +188,7 @@ static kg_status check_header(const reader *r, const unsigned char *bytes, heade
   }
   if (total >= 2147483648.0)
     return REFUSE(r, "byte 48: %.0f nodes, expected less than 2^31", total);
-  const uint64_t count = get(bytes + 60, 4);
+  const uint64_t count = bytes_little(bytes + 60, 4);
   if (count > INT_MAX) {
     return REFUSE(r, "byte 60: %llu blocks with nodes", (unsigned long long)count);
   }
@@ -253,7 +234,7 @@ static kg_status read_nodes(reader *r, float *node, size_t total, size_t byte)
 static kg_status read_checksum(const reader *r, const grid_view *g)
 {
   unsigned char bytes[CHECKSUM];
-  if (fread(bytes, 1, CHECKSUM, r->file) != CHECKSUM || get(bytes, CHECKSUM) != r->sum) {
+  if (fread(bytes, 1, CHECKSUM, r->file) != CHECKSUM || bytes_little(bytes, CHECKSUM) != r->sum) {
     return REFUSE(r, "byte %zu: the checksum does not fit: the file is damaged",
                   byte_of(g, g->count, 0, 0, 0));
   }
