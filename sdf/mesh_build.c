@@ -95,7 +95,7 @@ kg_status mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
     kg_arena_release(&arena);
   }
   kg_arena_release(&scratch);
-  if (status == KG_OK && !*mesh) {
+  if (!*mesh && (status == KG_OK || status == KG_ERR_NO_MEMORY)) {
     status = kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
                      triangle_count);
   }

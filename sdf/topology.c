@@ -490,8 +490,7 @@ kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_coun
                      scratch) ||
       !join_faces(out, report, arena, scratch) ||
       !measure_faces(out, report, &six_volumes, arena, scratch)) {
-    return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
-                   triangle_count);
+    return KG_ERR_NO_MEMORY;
   }
   kg_arena_rewind(scratch, mark);
   if (out->face_count == 0) {
@@ -505,16 +504,9 @@ kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_coun
   if (report->inside_out) {
     turn_around(out);
   }
-  if (!sum_odd_edges(out, arena)) {
-    return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
-                   triangle_count);
-  }
+  if (!sum_odd_edges(out, arena)) return KG_ERR_NO_MEMORY;
   report->vertices = out->vertex_count;
   report->triangles = out->face_count;
   describe(out, report);
-  if (!boundary_describe(out, report, scratch)) {
-    return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for a mesh of %d triangles",
-                   triangle_count);
-  }
-  return KG_OK;
+  return boundary_describe(out, report, scratch) ? KG_OK : KG_ERR_NO_MEMORY;
 }

@@ -32,7 +32,7 @@ typedef struct topology {
 } topology;
 
 /* The vertices are from scratch, all that belongs to faces and edges from arena. Turns a closed mesh
- * of negative volume around. Errors as kg_mesh_create. */
+ * of negative volume around. Errors as kg_mesh_create, without a text for KG_ERR_NO_MEMORY. */
 kg_status topology_build(topology *out, const kg_vec3 *vertices, int vertex_count,
                          const int *triangles, int triangle_count, kg_mesh_report *report,
                          kg_arena *arena, kg_arena *scratch, kg_error *error);
