@@ -24,11 +24,6 @@ enum { MOST_THREADS = 64, PACKET_X = 4, PACKET_Y = 2, PACKET_Z = 2 };
 
 /* ---- memory ------------------------------------------------------------------------------------- */
 
-static int block_count(int nodes)
-{
-  return (nodes - 1 + GRID_SIDE - 1) / GRID_SIDE;
-}
-
 size_t grid_block_total(const grid_view *view)
 {
   return (size_t)view->blocks[0] * (size_t)view->blocks[1] * (size_t)view->blocks[2];
@@ -39,14 +34,15 @@ kg_status grid_allocate(kg_grid **grid, kg_vec3 lo, double spacing, const int n[
 {
   *grid = NULL;
   const double count = (double)n[0] * n[1] * n[2];
-  if (count >= 2147483648.0) {
+  if (count >= GRID_MOST_NODES) {
     return kg_fail(error, KG_ERR_UNSUPPORTED, "", 0, 0, "a grid of %d x %d x %d nodes is too large",
                    n[0], n[1], n[2]);
   }
-  const grid_view view = {.lo = lo,
-                          .spacing = spacing,
-                          .n = {n[0], n[1], n[2]},
-                          .blocks = {block_count(n[0]), block_count(n[1]), block_count(n[2])}};
+  const grid_view view = {
+    .lo = lo,
+    .spacing = spacing,
+    .n = {n[0], n[1], n[2]},
+    .blocks = {grid_block_count(n[0]), grid_block_count(n[1]), grid_block_count(n[2])}};
   const size_t blocks = grid_block_total(&view);
   kg_arena arena;
   kg_arena_init(&arena, allocator);
@@ -108,6 +104,33 @@ kg_status grid_allocate_nodes(kg_grid *grid, kg_error *error)
   memset(memory, 0, bytes);
   grid->view.node = (const float *)(const void *)memory;
   return KG_OK;
+}
+
+/* number of the block, -1 without nodes or beyond the grid */
+static int number_of(const grid_view *g, int i, int j, int k)
+{
+  const bool is_in =
+    i >= 0 && j >= 0 && k >= 0 && i < g->blocks[0] && j < g->blocks[1] && k < g->blocks[2];
+  return is_in ? g->block[grid_block_at(g, i, j, k)] : -1;
+}
+
+/* In each block a node of its own, or the last one of the block before. */
+int grid_copies(const grid_view *view, const int at[3], size_t places[8])
+{
+  int count = 0;
+  for (int corner = 0; corner < 8; corner++) {
+    const int before[3] = {corner % 2, corner / 2 % 2, corner / 4};
+    int block[3], local[3];
+    bool holds = true;
+    for (int axis = 0; axis < 3; axis++) {
+      block[axis] = at[axis] / GRID_SIDE - before[axis];
+      local[axis] = at[axis] - GRID_SIDE * block[axis];
+      holds = holds && local[axis] <= GRID_SIDE;
+    }
+    const int number = holds ? number_of(view, block[0], block[1], block[2]) : -1;
+    if (number >= 0) places[count++] = grid_node_at(number, local[0], local[1], local[2]);
+  }
+  return count;
 }
 
 kg_vec3 grid_place(const grid_view *view, int i, int j, int k)
@@ -330,31 +353,12 @@ static void set_values(sampling *s, float *node, const kg_sdf_value *value)
   }
 }
 
-/* number of the block, -1 without nodes or beyond the grid */
-static int number_of(const grid_view *g, int i, int j, int k)
-{
-  const bool is_in =
-    i >= 0 && j >= 0 && k >= 0 && i < g->blocks[0] && j < g->blocks[1] && k < g->blocks[2];
-  return is_in ? g->block[grid_block_at(g, i, j, k)] : -1;
-}
-
-/* in every block that holds the node: one of its own, or the last one of the block before */
 static void set_node(sampling *s, const int at[3], const kg_sdf_value *value)
 {
-  for (int corner = 0; corner < 8; corner++) {
-    const int before[3] = {corner % 2, corner / 2 % 2, corner / 4};
-    int block[3], local[3];
-    bool holds = true;
-    for (int axis = 0; axis < 3; axis++) {
-      block[axis] = at[axis] / GRID_SIDE - before[axis];
-      local[axis] = at[axis] - GRID_SIDE * block[axis];
-      holds = holds && local[axis] <= GRID_SIDE;
-    }
-    const int number = holds ? number_of(&s->grid->view, block[0], block[1], block[2]) : -1;
-    if (number >= 0) {
-      float *node = grid_nodes(s->grid) + 4 * grid_node_at(number, local[0], local[1], local[2]);
-      set_values(s, node, value);
-    }
+  size_t places[8];
+  const int count = grid_copies(&s->grid->view, at, places);
+  for (int k = 0; k < count; k++) {
+    set_values(s, grid_nodes(s->grid) + 4 * places[k], value);
   }
 }
 

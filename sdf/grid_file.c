@@ -186,8 +186,9 @@ static kg_status check_header(const reader *r, const unsigned char *bytes, heade
   if (!grid_is_fine(out->lo, out->spacing, out->n)) {
     return REFUSE(r, "byte 40: a spacing of %g m, too little so far from the origin", out->spacing);
   }
-  if (total >= 2147483648.0)
+  if (total >= GRID_MOST_NODES) {
     return REFUSE(r, "byte 48: %.0f nodes, expected less than 2^31", total);
+  }
   const uint64_t count = bytes_little(bytes + 60, 4);
   if (count > INT_MAX) {
     return REFUSE(r, "byte 60: %llu blocks with nodes", (unsigned long long)count);
@@ -201,7 +202,7 @@ static kg_status check_length(const reader *r, const header *h)
 {
   double blocks = 1.0;
   for (int k = 0; k < 3; k++) {
-    blocks *= (h->n[k] - 1 + GRID_SIDE - 1) / GRID_SIDE;
+    blocks *= grid_block_count(h->n[k]);
   }
   const double expected = HEADER + (blocks + (double)h->count * GRID_BLOCK_NODES) * NODE + CHECKSUM;
   const long at = ftell(r->file);
@@ -310,25 +311,18 @@ static int last_node(const grid_view *g, int axis, int block)
   return left < GRID_SIDE ? left : GRID_SIDE;
 }
 
-/* A node that another block holds too is the same there: the interpolant is C1 across them. */
+/* A node that other blocks hold too is the same there: the interpolant is C1 across them. */
 static kg_status check_shared(const reader *r, const grid_view *g, const int block[3],
                               const int at[3])
 {
   const int number = g->block[grid_block_at(g, block[0], block[1], block[2])];
   const float *v = g->node + 4 * grid_node_at(number, at[0], at[1], at[2]);
-  for (int side = 0; side < 27; side++) { /* blocks around this one, and itself */
-    const int step[3] = {side % 3 - 1, side / 3 % 3 - 1, side / 9 - 1};
-    int other[3], local[3];
-    bool holds = true;
-    for (int axis = 0; axis < 3; axis++) {
-      other[axis] = block[axis] + step[axis];
-      local[axis] = at[axis] - GRID_SIDE * step[axis];
-      holds = holds && other[axis] >= 0 && other[axis] < g->blocks[axis] && local[axis] >= 0 &&
-              local[axis] <= GRID_SIDE;
-    }
-    const int there = holds ? g->block[grid_block_at(g, other[0], other[1], other[2])] : -1;
-    if (there >= 0 && memcmp(v, g->node + 4 * grid_node_at(there, local[0], local[1], local[2]),
-                             4 * sizeof *v) != 0) {
+  const int node[3] = {GRID_SIDE * block[0] + at[0], GRID_SIDE * block[1] + at[1],
+                       GRID_SIDE * block[2] + at[2]};
+  size_t places[8];
+  const int count = grid_copies(g, node, places);
+  for (int k = 0; k < count; k++) {
+    if (memcmp(v, g->node + 4 * places[k], 4 * sizeof *v) != 0) {
       return REFUSE(r, "byte %zu: a node differs from the same one in another block",
                     byte_of(g, number, at[0], at[1], at[2]));
     }

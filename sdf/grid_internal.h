@@ -22,11 +22,23 @@ struct kg_grid {
   bool has_closest;   /* x - Phi n is a point of the surface at every node                    */
 };
 
+/* nodes in all, exclusive: what is counted of them fits an int */
+#define GRID_MOST_NODES 2147483648.0
+
+/* blocks that cover an axis of so many nodes */
+static inline int grid_block_count(int nodes)
+{
+  return (nodes - 1 + GRID_SIDE - 1) / GRID_SIDE;
+}
+
 /* A grid without values, and without nodes. NULL and a status when memory is refused. */
 kg_status grid_allocate(kg_grid **grid, kg_vec3 lo, double spacing, const int n[3],
                         const kg_allocator *allocator, kg_error *error);
 float *grid_centers(kg_grid *grid);
 size_t grid_block_total(const grid_view *view);
+/* The places in view->node of the grid's node at[]: one in every block with nodes that touches it,
+ * eight at most. Returns how many. */
+int grid_copies(const grid_view *view, const int at[3], size_t places[8]);
 /* The values of the centers are set: says which blocks have nodes, those that can hold a point within
  * GRID_BAND spacings of the surface, and how many they are. */
 int grid_choose_blocks(kg_grid *grid);
