@@ -88,6 +88,16 @@ static int check_values(const correct_values *values)
   return CLI_GOOD;
 }
 
+/* The first `free` of the inputs may be replaced by --output, nothing else by anything. */
+static int check_inputs(const correct_values *values, const char *const *inputs, int count,
+                        int free)
+{
+  const bool overwrites = cli_is_input("--json", values->json, inputs, count) ||
+                          cli_is_input("--forces", values->forces, inputs, count) ||
+                          cli_is_input("--output", values->output, inputs + free, count - free);
+  return overwrites ? CLI_USAGE : CLI_GOOD;
+}
+
 /* The clip itself may be replaced by its correction; nothing else that is read may be. */
 static int check_overwriting(const correct_values *values, const char *clip)
 {
@@ -97,10 +107,7 @@ static int check_overwriting(const correct_values *values, const char *clip)
   for (int i = 0; i < values->scene.count; i++) {
     inputs[FIRST_MESH + i] = values->scene.path[i];
   }
-  const bool overwrites = cli_is_input("--json", values->json, inputs, count) ||
-                          cli_is_input("--forces", values->forces, inputs, count) ||
-                          cli_is_input("--output", values->output, inputs + 1, count - 1);
-  return overwrites ? CLI_USAGE : CLI_GOOD;
+  return check_inputs(values, inputs, count, 1);
 }
 
 /* nor what was found by name, or in a description of a scene */
@@ -113,10 +120,7 @@ static int check_overwriting_found(const correction *c)
   for (int i = 0; i < c->scene.mesh_count; i++) {
     inputs[FIRST_MESH + i] = c->scene.mesh_paths[i];
   }
-  const bool overwrites = cli_is_input("--json", c->values->json, inputs, count) ||
-                          cli_is_input("--forces", c->values->forces, inputs, count) ||
-                          cli_is_input("--output", c->values->output, inputs, count);
-  return overwrites ? CLI_USAGE : CLI_GOOD;
+  return check_inputs(c->values, inputs, count, 0);
 }
 
 static int open_outputs(correction *c)
@@ -416,7 +420,7 @@ static scene_counts count_scene(const kg_scene *scene)
     const kg_sdf_shape *shape = &scene->shapes[i];
     const kg_place *place = shape->place > 0 ? &scene->places[shape->place - 1] : NULL;
     counts.soft += shape->ground > 0;
-    counts.moving += place && kg_vec3_norm(place->velocity) + kg_vec3_norm(place->spin) > 0.0;
+    counts.moving += place && kg_place_is_moving(place);
   }
   return counts;
 }

@@ -48,7 +48,7 @@ int cli_read_clip(kg_clip **clip, const char *path, const cli_reading *reading, 
  * anew. */
 kg_status cli_read_output(kg_clip **clip, const char *path, const kg_clip *capture,
                           kg_error *error);
-/* Subject of a clip; of `around` the scene (extra, ground) and the other athlete, NULL: neither. */
+/* Subject of a clip; of `around` the scene (extra, ground), the other athlete and self, NULL: none. */
 int cli_create_subject(kg_subject **subject, const kg_clip *clip, const cli_reading *reading,
                        const kg_subject_def *around);
 

@@ -107,8 +107,7 @@ kg_status kg_stage_create(kg_stage **stage, const kg_subject *subject, kg_stage_
   if (part == KG_STAGE_ALL) s->scene = subject->scene;
   s->start = s->scene;
   for (int k = 0; k < s->start.place_count; k++) {
-    const kg_place *p = &s->start.places[k];
-    s->is_moving = s->is_moving || kg_vec3_norm(p->velocity) + kg_vec3_norm(p->spin) > 0.0;
+    s->is_moving = s->is_moving || kg_place_is_moving(&s->start.places[k]);
   }
   const kg_status status = s->other ? create_other(s, &arena) : KG_OK;
   if (status != KG_OK) {

@@ -90,6 +90,11 @@ typedef struct kg_place {
                        kg_scene_add keeps it                                                   */
 } kg_place;
 
+static inline bool kg_place_is_moving(const kg_place *place)
+{
+  return kg_vec3_norm(place->velocity) + kg_vec3_norm(place->spin) > 0.0;
+}
+
 /* Velocity of the rigid body that moves with the place, at x. */
 static inline kg_vec3 kg_place_velocity(const kg_place *place, kg_vec3 x)
 {
