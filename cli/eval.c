@@ -137,13 +137,20 @@ static bool find_output(char path[CLI_MAX_PATH], const char *folder, const char 
   return stat(path, &status) == 0;
 }
 
+/* of the two numbers of a score, below its name */
+static int row_width(int score)
+{
+  const int name = (int)strlen(cli_scores[score].key);
+  return name > 19 ? name : 19;
+}
+
 static void print_row(FILE *out, const char *name, double mpjpe_m, const double *capture,
                       const double *output)
 {
   fprintf(out, "%-28s %9.5f", name, mpjpe_m);
   for (int i = 0; i < cli_score_count; i++) {
     if (cli_scores[i].in_summary) {
-      fprintf(out, "  %9.4g %9.4g", capture[i], output[i]);
+      fprintf(out, "  %*.4g %9.4g", row_width(i) - 10, capture[i], output[i]);
     }
   }
   fputc('\n', out);
@@ -154,7 +161,7 @@ static void print_head(FILE *out)
   fprintf(out, "%-28s %9s", "capture, output", "mpjpe_m");
   for (int i = 0; i < cli_score_count; i++) {
     if (cli_scores[i].in_summary) {
-      fprintf(out, "  %-19.19s", cli_scores[i].key);
+      fprintf(out, "  %-*s", row_width(i), cli_scores[i].key);
     }
   }
   fputc('\n', out);
