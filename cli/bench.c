@@ -352,7 +352,7 @@ static const cli_option run_options[] = {
    .kind = CLI_PATH,
    .value_name = "TEXT",
    .summary = "only cases with this text in their name",
-   .details = "For example gmm, ba1, jacobian, mlp.",
+   .details = "For example gmm, ba1, jacobian, mlp; rnea, derivatives; standing; blob, grid.",
    .offset = offsetof(bench_values, filter)},
 };
 
@@ -376,6 +376,7 @@ const cli_command cli_command_bench = {
     "while it was made and ran once.\n"
     "Exit code 1: answers differ; those cases have no times.",
   .examples = (const char *const[]){"kinegrad bench autodiff --filter mlp --rounds 3",
+                                    "kinegrad bench dynamics --filter rnea_23 --rounds 3",
                                     "kinegrad bench --filter d10_K25_m2 --json ratios.json", NULL},
   .groups = groups,
   .group_count = KG_COUNT_OF(groups),

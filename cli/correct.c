@@ -173,7 +173,7 @@ static int create_subject(correction *c)
 {
   kg_subject_def around = kg_subject_default_def();
   around.extra = &c->scene.scene;
-  around.ground = c->scene.has_floor ? &c->scene.floor : NULL;
+  around.ground = c->scene.floor_file ? &c->scene.floor : NULL;
   around.other = c->other;
   around.self = c->values->self;
   return cli_create_subject(&c->subject, c->clip, &c->values->reading, &around);
@@ -408,7 +408,7 @@ static void set_residuals(json_t *root, const correction *c)
   cli_json_set_number(root, "correction_force_ratio_peak", r->correction_force_ratio_peak);
 }
 
-/* of the shapes beside the floor, and the floor */
+/* of all shapes, the floor among them */
 typedef struct scene_counts {
   int shapes, soft, moving;
 } scene_counts;
@@ -437,7 +437,7 @@ static json_t *scene_object(const correction *c)
   cli_json_set_integer(object, "soft_count", counts.soft);
   cli_json_set_integer(object, "moving_count", counts.moving);
   cli_json_set_number(object, "floor_thickness_m",
-                      c->scene.has_floor ? c->scene.floor.thickness : 0.0);
+                      c->scene.floor_file ? c->scene.floor.thickness : 0.0);
   return object;
 }
 
@@ -476,9 +476,14 @@ static void print_table(FILE *out, const correction *c)
   const kg_correct_result *r = c->result;
   cli_print_source(out, c->clip, c->subject);
   const scene_counts counts = count_scene(&c->subject->scene);
-  if (counts.shapes > 1 || counts.soft > 0) {
-    fprintf(out, "  scene        floor and %d shapes, %d of them all soft, %d moving\n",
-            counts.shapes - 1, counts.soft, counts.moving);
+  const bool has_soft_floor = c->scene.floor_file != NULL;
+  if (counts.shapes > 1 || has_soft_floor) {
+    fprintf(out, "  scene        %s", has_soft_floor ? "soft floor" : "floor");
+    if (counts.shapes > 1) {
+      fprintf(out, " and %d %s, %d soft, %d moving", counts.shapes - 1,
+              counts.shapes > 2 ? "shapes" : "shape", counts.soft - has_soft_floor, counts.moving);
+    }
+    fputc('\n', out);
   }
   if (c->other) {
     fprintf(out, "  with         %s, %d frames at %.6g Hz\n", c->values->with,
@@ -533,11 +538,17 @@ typedef struct range_text {
   char text[256];
 } range_text;
 
+/* "frame 12", "frames 12-40, 55" */
 static range_text describe(const correction *c, const bool *flags)
 {
   range_text ranges = {""};
   FILE *text = flags ? fmemopen(ranges.text, sizeof ranges.text, "w") : NULL;
   if (text) {
+    int count = 0;
+    for (int t = 0; t < c->result->frame_count; t++) {
+      count += flags[t];
+    }
+    fputs(count == 1 ? "frame " : "frames ", text);
     cli_print_ranges(text, flags, c->result->frame_count, c->subject->first_frame, 12);
     fclose(text);
   }
@@ -557,7 +568,7 @@ static int judge_distance(correction *c)
     count += is_far[t];
   }
   if (count > 0) {
-    cli_message("%s: the output leaves the capture by more than %g m in frames %s; %s was written",
+    cli_message("%s: the output leaves the capture by more than %g m in %s; %s was written",
                 c->clip->source.path, far_frame, describe(c, is_far).text, c->values->output);
   } else if (c->metrics->mpjpe_m > far_mean) {
     cli_message("%s: the output is %.2f m from the capture in the mean, expected at most %g m; %s "
@@ -575,13 +586,13 @@ static int judge(correction *c)
   const kg_correct_result *r = c->result;
   int code = judge_distance(c);
   if (r->unexplained_count > 0) {
-    cli_message("%s: external support missing in frames %s: no contact explains the motion there, "
+    cli_message("%s: external support missing in %s: no contact explains the motion there, "
                 "so %s was written but is not physical in these frames",
                 c->clip->source.path, describe(c, r->unexplained).text, c->values->output);
     code = CLI_ANSWER_IS_NO;
   }
   if (r->restart_count > 0) {
-    cli_message("%s: the simulation was lost and set back to the reference in frames %s; %s was "
+    cli_message("%s: the simulation was lost and set back to the reference in %s; %s was "
                 "written",
                 c->clip->source.path, describe(c, flag_restarts(c, &c->arena)).text,
                 c->values->output);
@@ -774,6 +785,7 @@ const cli_command cli_command_correct = {
       "kinegrad correct walk.bvh -o walk_fixed.bvh --method sdf --json report.json",
       "kinegrad correct walk.bvh -o walk_fixed.bvh --forces forces.csv --mass 62",
       "kinegrad correct walk.bvh -o walk_fixed.bvh --scene gym.json",
+      "kinegrad correct walk.bvh -o walk_fixed.bvh --self",
       "kinegrad correct walk.bvh -o walk_fixed.bvh --with partner.bvh", NULL},
   .groups = groups,
   .group_count = KG_COUNT_OF(groups),

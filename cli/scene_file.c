@@ -17,6 +17,8 @@ static const double DEFAULT_DAMPING = 0.5;   /* s/m         */
 static const double MAT_CORE_M = 0.3;        /* m; of the rigid core under a mat */
 static const double LARGEST_M = 1e4, LARGEST_RATE = 1e3, LARGEST_STIFFNESS = 1e9;
 enum { LARGEST_FILE = 1 << 22 };
+/* of a scene beside the floor, which is a shape and may be soft */
+enum { MOST_SHAPES = KG_SCENE_MAX_SHAPES - 1, MOST_GROUNDS = KG_SCENE_MAX_GROUNDS - 1 };
 
 /* A value and where it stands in the text. */
 typedef struct node {
@@ -109,11 +111,12 @@ static node item(node array, size_t index)
 
 /* ---- values ------------------------------------------------------------------------------------ */
 
+/* at: in the text; NULL: the file as a whole */
 static bool fail(file *f, const char *at, const char *what)
 {
   if (f->code != CLI_GOOD) return false;
-  long line = 1, column = 1;
-  for (const char *c = f->text; c < at; c++) {
+  long line = at ? 1 : 0, column = line;
+  for (const char *c = f->text; at && c < at; c++) {
     line += *c == '\n';
     column = *c == '\n' ? 1 : column + 1;
   }
@@ -121,6 +124,21 @@ static bool fail(file *f, const char *at, const char *what)
   (void)kg_fail(&error, KG_ERR_FORMAT, f->path, line, column, "%s", what);
   f->code = cli_failed(&error);
   return false;
+}
+
+/* Of all files of a run together. */
+static bool fail_limit(file *f, const char *at, int most, const char *what)
+{
+  char text[128];
+  snprintf(text, sizeof text, "the scene has more than %d %s", most, what);
+  return fail(f, at, text);
+}
+
+static bool add_shape(file *f, const char *at, const kg_sdf_shape *shape)
+{
+  kg_scene *scene = &f->scene->scene;
+  return (scene->shape_count < MOST_SHAPES && kg_scene_add(scene, shape)) ||
+         fail_limit(f, at, MOST_SHAPES, "shapes beside the floor");
 }
 
 /* key: of a member of `of`, for the message and the place */
@@ -207,10 +225,12 @@ static bool check_members(file *f, node of, const char *const *names, int count)
 
 /* ---- shapes ------------------------------------------------------------------------------------ */
 
+enum { MOST_OWN_MEMBERS = 4 };
+
 typedef struct type {
   const char *name;
   kg_shape_kind kind;
-  const char *members[4]; /* beside those of every shape */
+  const char *members[MOST_OWN_MEMBERS]; /* beside those of every shape */
 } type;
 
 static const type types[] = {
@@ -223,7 +243,7 @@ static const type types[] = {
   {"plane", KG_SHAPE_PLANE, {"point_m", "normal"}},
   {"mesh", KG_SHAPE_MESH, {"file", "unit_m", "at_m", "rotation_deg"}},
 };
-enum { TYPES = KG_COUNT_OF(types), MOST_MEMBERS = 8 };
+enum { TYPES = KG_COUNT_OF(types) };
 
 static const type *read_type(file *f, node of)
 {
@@ -271,6 +291,7 @@ static bool load_mesh(file *f, const char *path, double unit, kg_sdf_shape *shap
   cli_scene *s = f->scene;
   kg_mesh_report report = {0};
   kg_error error = {0};
+  KG_ASSERT(s->mesh_count < CLI_MAX_MESHES);
   char *copy = strdup(path);
   const kg_status status =
     copy ? kg_mesh_read(&s->meshes[s->mesh_count], path, unit, &report, NULL, &error)
@@ -296,7 +317,6 @@ static bool read_mesh(file *f, node of, kg_sdf_shape *shape)
   if (!name || !*name) return fail_at(f, of, "file", "the name of a mesh file");
   double unit = f->unit_m;
   if (!read_number(f, of, "unit_m", false, 1e-6, 1000.0, &unit)) return false;
-  if (f->scene->mesh_count >= CLI_MAX_MESHES) return fail(f, of.text, "more than 64 meshes");
   char path[2048];
   const char *slash = strrchr(f->path, '/');
   const int folder = slash && *name != '/' ? (int)(slash - f->path) + 1 : 0;
@@ -403,8 +423,11 @@ static bool read_cover(file *f, node of, kg_sdf_shape *s, bool is_mat)
                    is_mat ? "less than half of the mat's length and breadth"
                           : "a layer that leaves a rigid core; a soft slab is a \"mat\"");
   }
+  if (f->scene->scene.ground_count >= MOST_GROUNDS) {
+    return fail_limit(f, soft.text, MOST_GROUNDS, "shapes with \"soft\" beside the floor");
+  }
   s->ground = kg_scene_add_ground(&f->scene->scene, &ground);
-  return s->ground > 0 || fail(f, soft.text, "more than 15 soft layers");
+  return true;
 }
 
 /* Puts the shape where it is: into a place when it moves, or must be turned as a whole. */
@@ -417,15 +440,16 @@ static bool put(file *f, node of, kg_sdf_shape *s, kg_vec3 at, kg_quat turn)
       !read_vector(f, of, "spin_rad_per_s", false, -LARGEST_RATE, LARGEST_RATE, &place.spin)) {
     return false;
   }
-  const bool moves = kg_vec3_norm(place.velocity) + kg_vec3_norm(place.spin) > 0.0;
-  if (moves || s->kind == KG_SHAPE_MESH) {
+  if (kg_place_is_moving(&place) || s->kind == KG_SHAPE_MESH) {
     s->place = kg_scene_add_place(scene, &place);
-    if (s->place == 0) return fail(f, of.text, "more than 48 shapes that move or are meshes");
+    if (s->place == 0) {
+      return fail_limit(f, of.text, KG_SCENE_MAX_PLACES, "shapes that move or are meshes");
+    }
   } else {
     s->a = kg_vec3_add(s->a, at);
     if (s->kind == KG_SHAPE_CAPSULE || s->kind == KG_SHAPE_CYLINDER) s->b = kg_vec3_add(s->b, at);
   }
-  return kg_scene_add(scene, s) || fail(f, of.text, "more shapes than a scene holds, 95");
+  return add_shape(f, of.text, s);
 }
 
 static bool read_shape(file *f, node of)
@@ -433,9 +457,9 @@ static bool read_shape(file *f, node of)
   if (!json_is_object(of.json)) return fail(f, of.text, "expected an object with a \"type\"");
   const type *kind = read_type(f, of);
   if (!kind) return false;
-  const char *names[MOST_MEMBERS] = {"type", "soft", "velocity_m_per_s", "spin_rad_per_s"};
+  const char *names[4 + MOST_OWN_MEMBERS] = {"type", "soft", "velocity_m_per_s", "spin_rad_per_s"};
   int count = 4;
-  for (int k = 0; k < 4 && kind->members[k]; k++) {
+  for (int k = 0; k < MOST_OWN_MEMBERS && kind->members[k]; k++) {
     names[count++] = kind->members[k];
   }
   kg_sdf_shape shape = {.kind = kind->kind};
@@ -443,6 +467,15 @@ static bool read_shape(file *f, node of)
   kg_quat turn;
   return check_members(f, of, names, count) && read_geometry(f, of, &shape, &at, &turn) &&
          read_cover(f, of, &shape, strcmp(kind->name, "mat") == 0) && put(f, of, &shape, at, turn);
+}
+
+static bool fail_floor(file *f, const char *at)
+{
+  char text[256];
+  snprintf(text, sizeof text,
+           "\"floor\" stands in %.120s too: expected it in one of the scene files",
+           f->scene->floor_file);
+  return fail(f, at, text);
 }
 
 static bool read_root(file *f)
@@ -460,8 +493,8 @@ static bool read_root(file *f)
     }
     const node soft = member(floor, "soft");
     if (!soft.json) return fail_at(f, floor, "soft", "what covers the floor");
-    if (f->scene->has_floor) return fail(f, soft.text, "the floor is covered by another file");
-    f->scene->has_floor = true;
+    if (f->scene->floor_file) return fail_floor(f, floor.text);
+    f->scene->floor_file = f->path;
     if (!read_soft(f, soft, &f->scene->floor)) return false;
   }
   if (shapes.json && !json_is_array(shapes.json)) return fail_at(f, root, "shapes", "an array");
@@ -530,12 +563,8 @@ int cli_scene_add(cli_scene *scene, const char *path, double unit_m, bool is_qui
   file f = {.path = path, .scene = scene, .unit_m = unit_m, .is_quiet = is_quiet};
   if (is_description(path)) return read_description(&f);
   kg_sdf_shape shape = {.kind = KG_SHAPE_MESH};
-  if (!load_mesh(&f, path, unit_m, &shape)) return f.code;
-  if (!kg_scene_add(&scene->scene, &shape)) {
-    cli_message("%s: the scene has more than %d shapes", path, KG_SCENE_MAX_SHAPES);
-    return CLI_INPUT;
-  }
-  return CLI_GOOD;
+  if (load_mesh(&f, path, unit_m, &shape)) (void)add_shape(&f, NULL, &shape);
+  return f.code;
 }
 
 void cli_scene_release(cli_scene *scene)
@@ -544,4 +573,23 @@ void cli_scene_release(cli_scene *scene)
     kg_mesh_destroy(scene->meshes[i]);
     free(scene->mesh_paths[i]);
   }
+}
+
+/* ---- help -------------------------------------------------------------------------------------- */
+
+void cli_print_scene_types(FILE *out)
+{
+  for (int k = 0; k < TYPES; k++) {
+    fprintf(out, "  %-10s", types[k].name);
+    for (int m = 0; m < MOST_OWN_MEMBERS && types[k].members[m]; m++) {
+      fprintf(out, "%s%s", m > 0 ? ", " : " ", types[k].members[m]);
+    }
+    fputc('\n', out);
+  }
+}
+
+void cli_print_scene_limits(FILE *out)
+{
+  fprintf(out, "At most %d shapes, %d of them moving or meshes of a description, %d with soft.\n",
+          MOST_SHAPES, KG_SCENE_MAX_PLACES, MOST_GROUNDS);
 }

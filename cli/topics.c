@@ -1,6 +1,7 @@
 /* Help topics. What stands in a table elsewhere is printed from there. */
 #include "cli/topics.h"
 
+#include "cli/scene_file.h"
 #include "cli/scores.h"
 #include "kinegrad/clip.h"
 
@@ -16,9 +17,36 @@ static void print_formats(FILE *out)
         "  JSON  reports (--json)\n"
         "  CSV   forces (--forces): a header line, then one line per frame\n"
         "  MJCF  the body for MuJoCo (info --mjcf)\n"
-        "Meshes for --scene\n"
-        "  OBJ, PLY, OFF, STL; JSON that describes shapes, mats and what moves\n"
-        "  (docs/guide/scenes.md)\n",
+        "For --scene\n"
+        "  OBJ, PLY, OFF, STL   meshes\n"
+        "  JSON                 shapes, mats and what moves: 'kinegrad help scenes'\n",
+        out);
+}
+
+static void print_scenes(FILE *out)
+{
+  fputs("What --scene of correct puts beside the floor: mesh files, and descriptions whose names\n"
+        "end in .json. Metres in the clip's world, Y up, as 'kinegrad info' prints the floor.\n"
+        "  {\"floor\": {\"soft\": {\"thickness_m\": 0.03}},\n"
+        "   \"shapes\": [\n"
+        "     {\"type\": \"box\", \"center_m\": [2, 0.5, 0], \"size_m\": [1, 1, 1]},\n"
+        "     {\"type\": \"capsule\", \"from_m\": [-1, 1.2, 1], \"to_m\": [1, 1.2, 1], "
+        "\"radius_m\": 0.05},\n"
+        "     {\"type\": \"mesh\", \"file\": \"stairs.obj\", \"unit_m\": 0.01}]}\n"
+        "Types and their members\n",
+        out);
+  cli_print_scene_types(out);
+  fputs(
+    "  size_m are whole lengths; rotation_deg is an axis times the angle about it, in degrees.\n"
+    "  A mesh file is looked for beside the description.\n"
+    "Every shape may have\n"
+    "  velocity_m_per_s, spin_rad_per_s   [x, y, z]: it moves on from the first motion frame\n"
+    "  soft   a layer inwards from what is drawn, rigid below (a mat needs it):\n"
+    "         thickness_m, stiffness_N_per_m of one sample point, damping_s_per_m, friction\n",
+    out);
+  cli_print_scene_limits(out);
+  fputs("Another athlete is a clip: 'correct --with'. Examples and defaults stand in\n"
+        "docs/guide/scenes.md.\n",
         out);
 }
 
@@ -85,7 +113,7 @@ static void print_roles(FILE *out)
 }
 
 const cli_topic cli_topics[] = {
-  {"formats", print_formats}, {"units", print_units}, {"exit-codes", print_exit_codes},
-  {"json", print_json},       {"roles", print_roles},
+  {"formats", print_formats},       {"scenes", print_scenes}, {"units", print_units},
+  {"exit-codes", print_exit_codes}, {"json", print_json},     {"roles", print_roles},
 };
 const int cli_topic_count = (int)KG_COUNT_OF(cli_topics);
