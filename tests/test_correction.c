@@ -403,6 +403,37 @@ static void exactness_costs_no_freedom(void **state)
   kg_body_destroy(body);
 }
 
+/* The residual knows of every point that is inside, whether it carries or not. */
+static void residual_is_not_less_than_the_depth_left(void **state)
+{
+  (void)state;
+  kg_body *body = human_body();
+  kg_mesh *mesh = hills();
+  int inside = 0;
+  for (int k = 0; k < SCENES; k++) {
+    const kg_scene scene = make_scene(k, mesh);
+    kg_correction_def def = kg_correction_default_def(body, &scene);
+    def.kkt_tolerance = 1e-10;
+    def.tolerance = 1e-3;
+    kg_correction *c;
+    assert_int_equal(kg_correction_create(&c, &def), KG_OK);
+    kg_random random = kg_random_make(52);
+    for (int pose = 0; pose < 40; pose++) {
+      double q[MAX_NQ];
+      sunk_pose(&random, body, c, 0.5, 0.01 * (1 + pose), q);
+      const kg_correction_report report = kg_correction_apply(c, q, NULL, NULL);
+      assert_true(report.converged);
+      const double depth = fmax(-report.lowest, 0.0);
+      inside += depth > 1e-10;
+      assert_at_most(sqrt(body->mass) * depth, report.kkt_residual * (1.0 + 1e-12));
+    }
+    kg_correction_destroy(c);
+  }
+  print_message("  %d poses\n", inside);
+  kg_mesh_destroy(mesh);
+  kg_body_destroy(body);
+}
+
 /* Poses before this one do not show, not even where left and right are as near to the ground. */
 static void correction_depends_on_the_pose_alone(void **state)
 {
@@ -512,6 +543,92 @@ static void velocities_lose_only_what_they_must(void **state)
   }
   kg_mesh_destroy(mesh);
   kg_body_destroy(body);
+}
+
+/* A free segment of 5 kg, its centre of mass at the origin, that touches with some points. */
+static kg_body *body_of_points(const kg_vec3 *at, int count)
+{
+  kg_segment s = {.role = -1, .joint = -1, .parent = -1, .mass = 5.0, .inertia = {0.1, 0.1, 0.1}};
+  kg_body_point points[4] = {{0}};
+  for (int k = 0; k < count; k++) {
+    points[k].p = at[k];
+  }
+  kg_body *body = NULL;
+  assert_int_equal(kg_body_create(&body, &s, 1, points, count, NULL), KG_OK);
+  return body;
+}
+
+/* What is near and carries nothing does not touch; what carries does, even where the steps ended a
+ * little above the ground. */
+static void points_that_carry_touch_from_farther_away(void **state)
+{
+  (void)state;
+  const kg_vec3 above[2] = {{0.0, -0.1, 0.0}, {0.0, -0.1 + 5e-5, 0.0}};
+  kg_body *body = body_of_points(above, 2);
+  kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  kg_correction *c = make(body, &scene, KG_CORRECTION_SECOND_ORDER);
+  double q[7] = {0.0, 0.07, 0.0, 1.0, 0.0, 0.0, 0.0};
+  assert_int_equal(kg_correction_apply(c, q, NULL, NULL).contact_count, 1);
+  kg_correction_destroy(c);
+  kg_body_destroy(body);
+  /* on two balls of different size */
+  const kg_vec3 beside[2] = {{-0.2, -0.1, 0.03}, {0.2, -0.1, 0.05}};
+  body = body_of_points(beside, 2);
+  const kg_sdf_shape balls[2] = {{.kind = KG_SHAPE_SPHERE, .a = {-0.25, -0.3, 0.0}, .radius = 0.3},
+                                 {.kind = KG_SHAPE_SPHERE, .a = {0.22, -0.7, 0.0}, .radius = 0.7}};
+  scene.shape_count = 0;
+  for (int k = 0; k < 2; k++) {
+    assert_true(kg_scene_add(&scene, &balls[k]));
+  }
+  c = make(body, &scene, KG_CORRECTION_SECOND_ORDER);
+  int apart = 0;
+  for (int trial = 0; trial < 40; trial++) {
+    double v[6] = {0.0, -1.0, 0.0, 0.0, 0.0, 0.0}, farther = 0.0;
+    const double start[7] = {0.0, 0.09 - 0.002 * trial, 0.0, 1.0, 0.0, 0.0, 0.0};
+    memcpy(q, start, sizeof q);
+    const kg_correction_report report = kg_correction_apply(c, q, v, NULL);
+    assert_true(report.converged);
+    for (int k = 0; k < 2; k++) {
+      const kg_quat r = kg_quat_make(q[3], q[4], q[5], q[6]);
+      const kg_vec3 x = kg_vec3_add(kg_vec3_make(q[0], q[1], q[2]), kg_quat_rotate(r, beside[k]));
+      farther = fmax(farther, kg_scene_distance(&scene, x).distance);
+    }
+    assert_int_equal(report.contact_count, farther <= 1e-4 ? 2 : 1);
+    apart += farther > 1.1e-5 && farther <= 1e-4;
+  }
+  print_message("  %d of 40 with a gap\n", apart);
+  assert_true(apart > 0);
+  kg_correction_destroy(c);
+  kg_body_destroy(body);
+}
+
+/* Of a point that comes to the surface and carries nothing the derivative knows nothing: it is that of
+ * the body without it. */
+static void points_that_carry_nothing_do_not_hold_the_derivative(void **state)
+{
+  (void)state;
+  const kg_vec3 at[2] = {{0.0, -0.1, 0.0}, {0.2, -0.1, 0.1}};
+  const kg_scene scene = kg_scene_ground(0.0, kg_vec3_make(0.0, 1.0, 0.0));
+  double J[2][36];
+  for (int count = 1; count <= 2; count++) {
+    kg_body *body = body_of_points(at, count);
+    kg_correction_def def = kg_correction_default_def(body, &scene);
+    def.kkt_tolerance = 1e-12;
+    kg_correction *c;
+    assert_int_equal(kg_correction_create(&c, &def), KG_OK);
+    const double before[7] = {0.4, 0.07, -0.2, 1.0, 0.0, 0.0, 0.0};
+    double after[7];
+    memcpy(after, before, sizeof after);
+    const kg_correction_report report = kg_correction_apply(c, after, NULL, NULL);
+    assert_true(report.converged);
+    assert_int_equal(report.contact_count, count);
+    assert_true(kg_correction_jacobian(c, before, after, J[count - 1]));
+    kg_correction_destroy(c);
+    kg_body_destroy(body);
+  }
+  for (int i = 0; i < 36; i++) {
+    assert_close(J[1][i], J[0][i], 1e-9);
+  }
 }
 
 static void a_pose_outside_is_not_touched(void **state)
@@ -629,9 +746,12 @@ int main(void)
     cmocka_unit_test(corrected_pose_is_differentiable),
     cmocka_unit_test(loose_moves_have_a_near_derivative_or_none),
     cmocka_unit_test(exactness_costs_no_freedom),
+    cmocka_unit_test(residual_is_not_less_than_the_depth_left),
     cmocka_unit_test(correction_depends_on_the_pose_alone),
     cmocka_unit_test(flat_box_rises_by_its_depth_and_stops),
     cmocka_unit_test(velocities_lose_only_what_they_must),
+    cmocka_unit_test(points_that_carry_touch_from_farther_away),
+    cmocka_unit_test(points_that_carry_nothing_do_not_hold_the_derivative),
     cmocka_unit_test(a_pose_outside_is_not_touched),
     cmocka_unit_test(starts_without_a_way_downhill_come_out_too),
     cmocka_unit_test(nothing_is_allocated_after_create_or_left_behind),

@@ -559,6 +559,42 @@ static void numbers_that_are_none_do_not_converge(void **state)
   kg_body_destroy(body);
 }
 
+/* What a guess led to is not where the second attempt starts: from v it has the bits of a step without
+ * a guess. The guess cannot come right: an iteration turns a joint by 0.4 rad at most, 40 rad/s. */
+static void a_hopeless_guess_leaves_nothing_behind(void **state)
+{
+  (void)state;
+  kg_random random = kg_random_make(38);
+  kg_body *body = human_body();
+  kg_dynamics *d = dynamics_of(body);
+  kg_scene scene = ground();
+  kg_step_def def = kg_step_default_def(body);
+  def.scene = &scene;
+  def.max_iterations = 12;
+  def.max_substep_levels = 0;
+  kg_step *plain = step_of(&def), *guessing = step_of(&def);
+  int solved = 0;
+  for (int trial = 0; trial < 20; trial++) {
+    double q[MAX_NQ], v[MAX_NV], q_plain[MAX_NQ], v_plain[MAX_NV], q_next[MAX_NQ], v_next[MAX_NV];
+    contact_state(&random, d, body, trial % 5, q, v);
+    kg_step_report a, b;
+    kg_step_advance(plain, q_plain, v_plain, q, v, NULL, 0.01, false, &a);
+    memcpy(v_next, v, sizeof v_next);
+    v_next[3 + 3 * 9] += 1000.0; /* an elbow */
+    kg_step_advance(guessing, q_next, v_next, q, v, NULL, 0.01, true, &b);
+    if (!a.converged) continue;
+    assert_true(b.converged && b.iterations > a.iterations);
+    assert_memory_equal(q_plain, q_next, (size_t)body->nq * sizeof *q);
+    assert_memory_equal(v_plain, v_next, (size_t)body->nv * sizeof *v);
+    solved++;
+  }
+  assert_true(solved > 10);
+  kg_step_destroy(plain);
+  kg_step_destroy(guessing);
+  kg_dynamics_destroy(d);
+  kg_body_destroy(body);
+}
+
 /* points of the body may move: none is missed because of where they were */
 static void contact_follows_the_points_of_the_body(void **state)
 {
@@ -720,6 +756,7 @@ int main(void)
     cmocka_unit_test(failure_is_reported_and_divided),
     cmocka_unit_test(strong_torques_in_the_air_need_no_substeps),
     cmocka_unit_test(numbers_that_are_none_do_not_converge),
+    cmocka_unit_test(a_hopeless_guess_leaves_nothing_behind),
     cmocka_unit_test(contact_follows_the_points_of_the_body),
     cmocka_unit_test(same_input_gives_the_same_bits),
     cmocka_unit_test(survives_every_allocation_failure_and_then_allocates_nothing),
