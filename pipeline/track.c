@@ -757,7 +757,7 @@ static void run(tracker *s)
     }
     memcpy(s->q, s->q_next, nq * sizeof *s->q);
     memcpy(s->v, s->v_next, nv * sizeof *s->v);
-    if (s->def->progress && k % 32 == 0 &&
+    if (s->def->progress &&
         !s->def->progress((double)k / s->reference->count, "track", s->def->progress_user)) {
       out->interrupted = true;
       return;

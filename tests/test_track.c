@@ -273,7 +273,7 @@ static void progress_may_stop_it(void **state)
   kg_correct_result *r = tracked(subject, &def);
   assert_true(r->interrupted);
   assert_int_equal(calls, 1);
-  assert_true(r->steps < 79);
+  assert_int_equal(r->steps, 1); /* a step may take a second: it is asked after each */
   kg_correct_result_destroy(r);
   kg_subject_destroy(subject);
   kg_clip_destroy(clip);

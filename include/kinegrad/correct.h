@@ -18,7 +18,8 @@ extern "C" {
 
 typedef enum kg_correct_method { KG_CORRECT_SDF, KG_CORRECT_TRACK } kg_correct_method;
 
-/* Called now and then with the share done, 0 to 1; returning false stops (result->interrupted). */
+/* Called with the share done, 0 to 1: by track after every step, by sdf now and then. Returning false stops
+ * (result->interrupted). */
 typedef bool kg_progress_fn(double share, const char *stage, void *user);
 
 /* Everything that was tuned, in one place; defaults in kg_track_default_params(). How they were
