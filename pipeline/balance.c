@@ -100,7 +100,8 @@ static int look_ahead(kg_measure *m, const double *q, int next, int t)
 {
   const int size = 2 * m->reach + 1;
   for (; next <= t + m->reach && next < m->T; next++) {
-    kg_measure_probe(m, q + (ptrdiff_t)next * m->subject->body->nq, &m->window[next % size]);
+    kg_measure_probe(m, q + (ptrdiff_t)next * m->subject->body->nq, next * m->dt,
+                     &m->window[next % size]);
   }
   return next;
 }

@@ -41,6 +41,9 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
       kg_dynamics_create(&m->dynamics, body, subject->allocator) != KG_OK) {
     return false;
   }
+  if (kg_stage_create(&m->scene, subject, KG_STAGE_SCENE_ONLY, subject->allocator) != KG_OK) {
+    return false;
+  }
   if (subject->other &&
       kg_stage_create(&m->other, subject, KG_STAGE_OTHER_ONLY, subject->allocator) != KG_OK) {
     return false;
@@ -71,9 +74,10 @@ bool kg_measure_create(kg_measure *m, const kg_subject *subject, kg_arena *arena
 void kg_measure_release(kg_measure *m)
 {
   kg_stage_destroy(m->other);
+  kg_stage_destroy(m->scene);
   kg_dynamics_destroy(m->dynamics);
   kg_self_destroy(m->self);
-  m->other = NULL;
+  m->other = m->scene = NULL;
   m->self = NULL;
   m->dynamics = NULL;
 }
@@ -104,11 +108,12 @@ static void add_carrier(kg_probe *probe, const kg_probe_point *point, bool node)
 
 /* Phi grows by at most 1 per metre: points of a segment whose bounding ball is farther away than
  * the balance height need no query. */
-void kg_measure_probe(kg_measure *m, const double *q, kg_probe *probe)
+void kg_measure_probe(kg_measure *m, const double *q, double time, kg_probe *probe)
 {
   const kg_body *body = m->subject->body;
-  const kg_scene *scene = &m->subject->scene;
+  const kg_scene *scene = kg_stage_scene(m->scene);
   kg_dynamics_pose(m->dynamics, q, m->p, m->R);
+  kg_stage_set(m->scene, time, m->p[0]);
   probe->lowest = probe->lowest_soft = INFINITY;
   probe->carrier_count = 0;
   probe->carrier_nodes = 0;
@@ -229,7 +234,7 @@ static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, doub
   for (int t = 0; t < m->T; t++) {
     kg_probe *now = &m->probe[t & 1];
     const double *state = q + (size_t)t * nq;
-    kg_measure_probe(m, state, now);
+    kg_measure_probe(m, state, t * m->dt, now);
     for (size_t i = 0; i < n; i++) {
       joints[(size_t)t * n + i] = m->p[i];
     }
@@ -322,7 +327,7 @@ static void measure_resampled(kg_measure *m, const double *q, kg_motion_metrics 
     state_at(m, after, q, (last ? k : k + 1) * step);
     const double span = (k == 0 || last ? 1.0 : 2.0) * KG_METRIC_MOMENTUM_DT_S;
     const kg_vec3 L = centroid_between(m, before, now, after, span).L;
-    kg_measure_probe(m, now, &m->probe[k & 1]);
+    kg_measure_probe(m, now, k * KG_METRIC_MOMENTUM_DT_S, &m->probe[k & 1]);
     if (k > 0) {
       change += kg_vec3_norm(kg_vec3_sub(L, L_before));
       add_slip(&slip, &m->probe[(k - 1) & 1], &m->probe[k & 1], KG_METRIC_MOMENTUM_DT_S);

@@ -43,6 +43,7 @@ typedef struct kg_ball {
 typedef struct kg_measure {
   const kg_subject *subject;
   kg_dynamics *dynamics;
+  kg_stage *scene; /* without the other athlete           */
   kg_stage *other; /* the other athlete alone, NULL: none */
   kg_self *self;   /* NULL: not asked for                 */
   int T;           /* motion frames                       */
@@ -76,8 +77,9 @@ void kg_measure_release(kg_measure *measure);
 kg_motion_metrics kg_measure_motion(kg_measure *measure, const double *q, kg_vec3 *joints,
                                     double *penetration, double *in_other);
 
-/* The pose against the scene; fills probe, leaves the pose in measure->p and R. */
-void kg_measure_probe(kg_measure *measure, const double *q, kg_probe *probe);
+/* The pose against the scene as it is at `time` (s); fills probe, leaves the pose in measure->p and
+ * R. */
+void kg_measure_probe(kg_measure *measure, const double *q, double time, kg_probe *probe);
 
 /* Frames to either side whose contacts the smoothed forces of a frame contain. */
 int kg_measure_balance_reach(double dt);

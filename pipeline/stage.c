@@ -103,8 +103,8 @@ kg_status kg_stage_create(kg_stage **stage, const kg_subject *subject, kg_stage_
   kg_stage *s = KG_ARENA_ARRAY(&arena, kg_stage, 1);
   if (!s) return KG_ERR_NO_MEMORY;
   s->subject = subject;
-  s->other = subject->other;
-  if (part == KG_STAGE_ALL) s->scene = subject->scene;
+  s->other = part == KG_STAGE_SCENE_ONLY ? NULL : subject->other;
+  if (part != KG_STAGE_OTHER_ONLY) s->scene = subject->scene;
   s->start = s->scene;
   for (int k = 0; k < s->start.place_count; k++) {
     s->is_moving = s->is_moving || kg_place_is_moving(&s->start.places[k]);

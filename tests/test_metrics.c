@@ -203,6 +203,37 @@ static void sliding_and_sinking_are_measured(void **state)
   release(&s, m);
 }
 
+/* A slab that rises at 0.2 m/s from 10 mm below who stands still: the scene of a frame is that of its
+ * time, for what is deep and for what carries. */
+static void a_scene_that_moves_is_where_it_is_then(void **state)
+{
+  (void)state;
+  const int T = 61;
+  const double dt = 1.0 / 60.0, rise = 0.2, gap = 0.01;
+  scene s = brick_scene(T, dt);
+  s.subject.scene = kg_scene_ground(-5.0, kg_vec3_make(0, 1, 0));
+  const kg_place place = {.at = {0.0, -0.5 - gap, 0.0}, .velocity = {0.0, rise, 0.0}};
+  const kg_sdf_shape slab = {.kind = KG_SHAPE_BOX,
+                             .b = {1.0, 0.5, 1.0},
+                             .orientation = kg_quat_identity(),
+                             .place = kg_scene_add_place(&s.subject.scene, &place)};
+  assert_true(kg_scene_add(&s.subject.scene, &slab));
+  for (int t = 0; t < T; t++) {
+    put(s.q, t, kg_vec3_make(0, 0.9, 0), kg_quat_identity());
+    put(s.out, t, kg_vec3_make(0, 0.9 + rise * t * dt, 0), kg_quat_identity()); /* stands on it */
+  }
+  kg_metrics *m = metrics_of(&s);
+  const double last = rise * (T - 1) * dt - gap;
+  assert_close(m->capture.penetration_max_m, last, 1e-12);
+  assert_close(m->capture.penetration_events, 57.0 / T, 1e-12); /* from frame 4 on, 3.3 mm */
+  assert_true(m->output.penetration_max_m == 0.0);
+  for (int t = 0; t < T; t++) {
+    assert_true(m->penetration_frame_m[t] == 0.0);
+  }
+  assert_at_most(m->output.force_balance, 1e-6); /* carried all the way up */
+  release(&s, m);
+}
+
 /* Nodes above 10 mm do not count, on a tilted plane the motion along it does. */
 static void slip_counts_low_nodes_along_the_surface(void **state)
 {
@@ -685,6 +716,7 @@ int main(void)
     cmocka_unit_test(nnls_meets_the_conditions_of_a_minimum),
     cmocka_unit_test(validity_is_clipped),
     cmocka_unit_test(sliding_and_sinking_are_measured),
+    cmocka_unit_test(a_scene_that_moves_is_where_it_is_then),
     cmocka_unit_test(slip_counts_low_nodes_along_the_surface),
     cmocka_unit_test(flight_keeps_its_momentum),
     cmocka_unit_test(standing_is_balanced_and_hovering_is_not),

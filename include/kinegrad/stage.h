@@ -17,8 +17,9 @@ extern "C" {
 typedef struct kg_stage kg_stage; /* one per thread */
 
 typedef enum kg_stage_part {
-  KG_STAGE_ALL,       /* subject->scene and subject->other */
-  KG_STAGE_OTHER_ONLY /* subject->other alone              */
+  KG_STAGE_ALL,        /* subject->scene and subject->other                                   */
+  KG_STAGE_SCENE_ONLY, /* subject->scene alone                                                */
+  KG_STAGE_OTHER_ONLY  /* subject->other alone: shape k is that of other->body->shapes[k]     */
 } kg_stage_part;
 
 /* The subject is borrowed. KG_ERR_NO_MEMORY. */
