@@ -115,6 +115,7 @@ void kg_measure_probe(kg_measure *m, const double *q, double time, kg_probe *pro
   kg_dynamics_pose(m->dynamics, q, m->p, m->R);
   kg_stage_set(m->scene, time, m->p[0]);
   probe->lowest = probe->lowest_soft = INFINITY;
+  probe->lowest_segment = -1;
   probe->carrier_count = 0;
   probe->carrier_nodes = 0;
   probe->node_count =
@@ -137,7 +138,10 @@ void kg_measure_probe(kg_measure *m, const double *q, double time, kg_probe *pro
       const kg_sdf_value phi = scene->ground_count > 0 ? kg_soft_distance(scene, at.x) : rigid;
       at.normal = phi.normal;
       at.distance = phi.distance;
-      probe->lowest = fmin(probe->lowest, rigid.distance);
+      if (rigid.distance < probe->lowest) {
+        probe->lowest = rigid.distance;
+        probe->lowest_segment = segment;
+      }
       probe->lowest_soft = fmin(probe->lowest_soft, phi.distance);
       if (phi.distance <= KG_METRIC_BALANCE_HEIGHT_M) {
         add_carrier(probe, &at, k < probe->node_count);
@@ -149,36 +153,83 @@ void kg_measure_probe(kg_measure *m, const double *q, double time, kg_probe *pro
   }
 }
 
-/* d_pen of the pose in m->p and m->R, frame t, in the other athlete */
-static double depth_in_other(kg_measure *m, int t)
+/* ---- how deep -------------------------------------------------------------------------------- */
+
+/* A motion in one obstacle, frame by frame. */
+typedef struct depth_sum {
+  double *frames; /* (T) d_pen, or NULL */
+  int events, inside;
+  double sum; /* m, over the frames inside */
+  kg_deepest deepest;
+} depth_sum;
+
+static const kg_deepest nowhere = {.depth = 0.0, .frame = -1, .segment = -1, .entered = -1};
+
+static kg_deepest depth_in_scene(const kg_probe *probe, int t)
+{
+  if (!(probe->lowest < 0.0)) return nowhere;
+  return (kg_deepest){-probe->lowest, t, probe->lowest_segment, -1};
+}
+
+/* of the pose in m->p and m->R, frame t */
+static kg_deepest depth_in_other(kg_measure *m, int t)
 {
   const kg_body *body = m->subject->body;
   const kg_scene *scene = kg_stage_scene(m->other);
   kg_stage_set(m->other, t * m->dt, m->p[0]);
-  double depth = 0.0;
+  kg_deepest deepest = nowhere;
   for (int k = 0; k < body->point_count && scene->shape_count > 0; k++) {
     const int i = body->points[k].segment;
     const kg_vec3 x = kg_vec3_add(m->p[i], kg_mat3_mul_vec(m->R[i], body->points[k].p));
-    depth = fmax(depth, -kg_scene_distance(scene, x).distance);
+    const kg_scene_point near = kg_scene_nearest(scene, x);
+    if (!(-near.value.distance > deepest.depth)) continue;
+    const int entered = m->subject->other->body->shapes[near.shape].segment;
+    deepest = (kg_deepest){-near.value.distance, t, i, entered};
   }
-  return depth;
+  return deepest;
 }
 
-static void measure_other(kg_measure *m, int t, double *in_other, kg_motion_metrics *out)
+static kg_deepest depth_in_self(kg_measure *m, int t)
 {
-  const double depth = depth_in_other(m, t);
-  out->other_penetration_max_m = fmax(out->other_penetration_max_m, depth);
-  out->other_penetration_events += depth > KG_METRIC_EVENT_DEPTH_M ? 1.0 / m->T : 0.0;
-  out->other_frames += depth > KG_METRIC_TOUCH_DEPTH_M;
-  if (in_other) in_other[t] = depth;
+  kg_self_touch touch;
+  const double depth = kg_self_depth(m->self, m->p, m->R, &touch);
+  if (!(depth > 0.0)) return nowhere;
+  const int segment = m->subject->body->points[touch.point].segment;
+  return (kg_deepest){depth, t, segment, touch.segment};
 }
 
-/* the pose in m->p and m->R against itself */
-static void measure_self(kg_measure *m, kg_motion_metrics *out)
+static void add_depth(depth_sum *sum, int t, kg_deepest now)
 {
-  const double depth = kg_self_depth(m->self, m->p, m->R, NULL);
-  out->self_penetration_max_m = fmax(out->self_penetration_max_m, depth);
-  out->self_penetration_events += depth > KG_METRIC_EVENT_DEPTH_M ? 1.0 / m->T : 0.0;
+  if (sum->frames) sum->frames[t] = now.depth;
+  if (now.depth > sum->deepest.depth) sum->deepest = now;
+  sum->events += now.depth > KG_METRIC_EVENT_DEPTH_M;
+  if (now.depth > KG_METRIC_TOUCH_DEPTH_M) {
+    sum->inside++;
+    sum->sum += now.depth;
+  }
+}
+
+static double mean_depth(const depth_sum *sum)
+{
+  return sum->inside > 0 ? sum->sum / sum->inside : 0.0;
+}
+
+static void set_depths(const kg_measure *m, const depth_sum sums[KG_OBSTACLE_COUNT],
+                       kg_motion_metrics *out)
+{
+  const depth_sum *scene = &sums[KG_OBSTACLE_SCENE], *other = &sums[KG_OBSTACLE_OTHER],
+                  *self = &sums[KG_OBSTACLE_SELF];
+  const double T = fmax(m->T, 1.0);
+  out->penetration_events = scene->events / T;
+  out->penetration_max_m = scene->deepest.depth;
+  out->penetration_mean_m = mean_depth(scene);
+  out->other_penetration_events = m->other ? other->events / T : NAN;
+  out->other_penetration_max_m = m->other ? other->deepest.depth : NAN;
+  out->other_penetration_mean_m = m->other ? mean_depth(other) : NAN;
+  out->other_frames = m->other ? (double)other->inside : NAN;
+  out->self_penetration_events = m->self ? self->events / T : NAN;
+  out->self_penetration_max_m = m->self ? self->deepest.depth : NAN;
+  out->self_penetration_mean_m = m->self ? mean_depth(self) : NAN;
 }
 
 /* ---- slip ------------------------------------------------------------------------------------ */
@@ -224,13 +275,12 @@ static kg_centroid centroid_between(kg_measure *m, const double *before, const d
   return kg_dynamics_centroid(m->dynamics, now, m->v);
 }
 
-static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, double *penetration,
-                           double *in_other, kg_motion_metrics *out)
+static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints,
+                           depth_sum sums[KG_OBSTACLE_COUNT], kg_motion_metrics *out)
 {
   const kg_body *body = m->subject->body;
   const size_t n = (size_t)body->segment_count, nq = (size_t)body->nq;
   slip_sum slip = {0};
-  int events = 0;
   for (int t = 0; t < m->T; t++) {
     kg_probe *now = &m->probe[t & 1];
     const double *state = q + (size_t)t * nq;
@@ -238,14 +288,9 @@ static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, doub
     for (size_t i = 0; i < n; i++) {
       joints[(size_t)t * n + i] = m->p[i];
     }
-    const double d_pen = fmax(-now->lowest, 0.0);
-    events += d_pen > KG_METRIC_EVENT_DEPTH_M;
-    out->penetration_max_m = fmax(out->penetration_max_m, d_pen);
-    if (penetration) {
-      penetration[t] = d_pen;
-    }
-    if (m->other) measure_other(m, t, in_other, out);
-    if (m->self) measure_self(m, out);
+    add_depth(&sums[KG_OBSTACLE_SCENE], t, depth_in_scene(now, t));
+    if (m->other) add_depth(&sums[KG_OBSTACLE_OTHER], t, depth_in_other(m, t));
+    if (m->self) add_depth(&sums[KG_OBSTACLE_SELF], t, depth_in_self(m, t));
     m->flight[t] = now->lowest_soft > KG_METRIC_BALANCE_HEIGHT_M;
     if (t > 0) {
       add_slip(&slip, &m->probe[(t - 1) & 1], now, m->dt);
@@ -256,7 +301,6 @@ static void measure_frames(kg_measure *m, const double *q, kg_vec3 *joints, doub
     m->com[t] = c.com;
     m->L[t] = c.L;
   }
-  out->penetration_events = m->T > 0 ? (double)events / m->T : 0.0;
   out->slip_m = mean_slip(&slip);
   out->slip_m_per_s = out->slip_m / m->dt;
   out->foot_skate_ratio = slip.pairs > 0 ? (double)slip.fast / (double)slip.pairs : 0.0;
@@ -343,13 +387,19 @@ static void measure_resampled(kg_measure *m, const double *q, kg_motion_metrics 
 }
 
 kg_motion_metrics kg_measure_motion(kg_measure *m, const double *q, kg_vec3 *joints,
-                                    double *penetration, double *in_other)
+                                    double *const depths[KG_OBSTACLE_COUNT],
+                                    kg_deepest deepest[KG_OBSTACLE_COUNT])
 {
   kg_motion_metrics out = {0};
-  if (!m->other)
-    out.other_penetration_events = out.other_penetration_max_m = out.other_frames = NAN;
-  if (!m->self) out.self_penetration_events = out.self_penetration_max_m = NAN;
-  measure_frames(m, q, joints, penetration, in_other, &out);
+  depth_sum sums[KG_OBSTACLE_COUNT];
+  for (int k = 0; k < KG_OBSTACLE_COUNT; k++) {
+    sums[k] = (depth_sum){.frames = depths ? depths[k] : NULL, .deepest = nowhere};
+  }
+  measure_frames(m, q, joints, sums, &out);
+  set_depths(m, sums, &out);
+  for (int k = 0; k < KG_OBSTACLE_COUNT; k++) {
+    deepest[k] = sums[k].deepest;
+  }
   measure_drift(m, &out);
   measure_resampled(m, q, &out);
   out.validity = kg_metric_validity(out.angular_momentum_change, out.slip_50hz_m);

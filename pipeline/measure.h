@@ -27,6 +27,7 @@ typedef struct kg_probe_point {
 typedef struct kg_probe {
   double lowest;                        /* smallest Phi seen, INFINITY when none is near  */
   double lowest_soft;                   /* the same from the outside of soft layers       */
+  int lowest_segment;                   /* whose Phi the smallest is, -1: none is near    */
   kg_probe_point nodes[KG_PROBE_NODES]; /* of the soles                                   */
   int node_count;
   kg_probe_point carriers[KG_PROBE_CARRIERS]; /* points with Phi <= KG_METRIC_BALANCE_HEIGHT_M */
@@ -72,10 +73,11 @@ typedef struct kg_measure {
 bool kg_measure_create(kg_measure *measure, const kg_subject *subject, kg_arena *arena);
 void kg_measure_release(kg_measure *measure);
 
-/* All metrics of a motion (T, nq). joints (T, n): world positions of the joints, out.
- * penetration, in_other (T), may be NULL: d_pen in the scene and in the other athlete, out. */
+/* All metrics of a motion (T, nq). joints (T, n): world positions of the joints, out. depths: NULL, or
+ * for every obstacle (T) d_pen in it, out, zero where it is not there. deepest: out. */
 kg_motion_metrics kg_measure_motion(kg_measure *measure, const double *q, kg_vec3 *joints,
-                                    double *penetration, double *in_other);
+                                    double *const depths[KG_OBSTACLE_COUNT],
+                                    kg_deepest deepest[KG_OBSTACLE_COUNT]);
 
 /* The pose against the scene as it is at `time` (s); fills probe, leaves the pose in measure->p and
  * R. */

@@ -80,6 +80,7 @@ static kg_metrics *allocate(const kg_subject *subject)
   double *joint = KG_ARENA_ARRAY(&arena, double, n), *frame = KG_ARENA_ARRAY(&arena, double, T);
   double *penetration = KG_ARENA_ARRAY(&arena, double, T);
   double *in_other = KG_ARENA_ARRAY(&arena, double, T);
+  double *in_self = KG_ARENA_ARRAY(&arena, double, T);
   if (kg_arena_failed(&arena)) {
     kg_arena_release(&arena);
     return NULL;
@@ -91,6 +92,7 @@ static kg_metrics *allocate(const kg_subject *subject)
                     .mpjpe_frame_m = frame,
                     .penetration_frame_m = penetration,
                     .other_penetration_frame_m = in_other,
+                    .self_penetration_frame_m = in_self,
                     .allocator = subject->allocator,
                     .memory = owner};
   return m;
@@ -111,9 +113,10 @@ kg_status kg_metrics_create(kg_metrics **metrics, const kg_subject *subject, con
   kg_measure measure;
   const bool ready = kg_measure_create(&measure, subject, &scratch);
   if (ready) {
-    m->capture = kg_measure_motion(&measure, subject->q, capture, NULL, NULL);
-    m->output = kg_measure_motion(&measure, q_out, output, m->penetration_frame_m,
-                                  m->other_penetration_frame_m);
+    double *const depths[KG_OBSTACLE_COUNT] = {m->penetration_frame_m, m->other_penetration_frame_m,
+                                               m->self_penetration_frame_m};
+    m->capture = kg_measure_motion(&measure, subject->q, capture, NULL, m->capture_deepest);
+    m->output = kg_measure_motion(&measure, q_out, output, depths, m->output_deepest);
     measure_error(m, capture, output);
     measure_peaks(m, capture, output, subject->dt);
   }

@@ -179,6 +179,11 @@ static void sliding_and_sinking_are_measured(void **state)
   assert_close(m->capture.penetration_events, 0.0, 1e-15);
   assert_close(m->output.penetration_events, 120.0 / T, 1e-12);
   assert_close(m->output.penetration_max_m, 0.003, 1e-12);
+  assert_close(m->output.penetration_mean_m, 0.003, 1e-12);
+  assert_true(m->capture.penetration_mean_m == 0.0);
+  assert_int_equal(m->output_deepest[KG_OBSTACLE_SCENE].frame, 0); /* the first of 120 */
+  const kg_deepest *none = &m->capture_deepest[KG_OBSTACLE_SCENE];
+  assert_true(none->depth == 0.0 && none->frame == -1 && none->segment == -1);
   assert_close(m->penetration_frame_m[119], 0.003, 1e-12);
   assert_true(m->penetration_frame_m[120] == 0.0);
   assert_true(m->capture.slip_m == 0.0 && m->capture.foot_skate_ratio == 0.0);
@@ -595,17 +600,29 @@ static void penetration_is_the_deepest_of_all_points(void **state)
     q[1] = 0.3 + 0.6 * kg_random_uniform(&random);
   }
   kg_metrics *m = metrics_of(&s);
-  int above = 0;
+  int above = 0, inside = 0;
+  double sum = 0.0;
+  kg_deepest deepest = {.frame = -1};
   for (int t = 0; t < T; t++) {
     double lowest = 1e9;
     for (int k = 0; k < s.body->point_count; k++) {
       const double *q = s.out + t * s.body->nq;
-      lowest = fmin(lowest, kg_dynamics_point(dynamics, NULL, q, s.body->points[k]).y);
+      const double y = kg_dynamics_point(dynamics, NULL, q, s.body->points[k]).y;
+      lowest = fmin(lowest, y);
+      if (-y > deepest.depth) deepest = (kg_deepest){-y, t, s.body->points[k].segment, -1};
     }
     assert_close(m->penetration_frame_m[t], fmax(-lowest, 0.0), 1e-12);
     above += lowest > 0.0;
+    inside += -lowest > KG_METRIC_TOUCH_DEPTH_M;
+    sum += -lowest > KG_METRIC_TOUCH_DEPTH_M ? -lowest : 0.0;
   }
   assert_true(above > 0 && above < T);
+  assert_close(m->output.penetration_mean_m, sum / inside, 1e-12);
+  const kg_deepest *found = &m->output_deepest[KG_OBSTACLE_SCENE];
+  assert_close(found->depth, deepest.depth, 1e-12);
+  assert_int_equal(found->frame, deepest.frame);
+  assert_int_equal(found->segment, deepest.segment);
+  assert_int_equal(found->entered, -1);
   kg_dynamics_destroy(dynamics);
   kg_clip_destroy(clip);
   release(&s, m);

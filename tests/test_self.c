@@ -82,14 +82,17 @@ static kg_sdf_value in_world(const walker *w, const kg_body_shape *s, kg_vec3 x)
   return kg_sdf_capsule(a, b, s->radius, x);
 }
 
-static kg_sdf_value nearest_of_all(const walker *w, int point, kg_vec3 x)
+/* *segment: whose shape it is */
+static kg_sdf_value nearest_of_all(const walker *w, int point, kg_vec3 x, int *segment)
 {
   kg_sdf_value best = {.distance = INFINITY};
   for (int k = 0; k < w->body->shape_count; k++) {
     const kg_body_shape *s = &w->body->shapes[k];
     if (!kg_self_is_pair(w->self, w->body->points[point].segment, s->segment)) continue;
     const kg_sdf_value v = in_world(w, s, x);
-    if (v.distance < best.distance) best = v;
+    if (!(v.distance < best.distance)) continue;
+    best = v;
+    *segment = s->segment;
   }
   return best;
 }
@@ -113,7 +116,8 @@ static void samples_are_those_of_brute_force(void **state)
     for (int k = 0; k < w.body->point_count; k++) {
       const int i = w.body->points[k].segment;
       const kg_vec3 x = kg_vec3_add(w.p[i], kg_mat3_mul_vec(w.R[i], w.body->points[k].p));
-      const kg_sdf_value v = nearest_of_all(&w, k, x);
+      int other = -1;
+      const kg_sdf_value v = nearest_of_all(&w, k, x, &other);
       expected += v.distance < limit;
       depth = fmax(depth, -v.distance);
       for (int t = 0; t < count; t++) {
@@ -204,27 +208,41 @@ static void metrics_are_those_of_the_frames(void **state)
   (void)state;
   walker w = make_walker();
   const int T = w.subject->frame_count;
-  double deepest = 0.0;
-  int events = 0;
+  kg_deepest deepest = {.depth = 0.0};
+  double *frames = calloc((size_t)T, sizeof *frames), sum = 0.0;
+  int events = 0, inside = 0;
+  assert_non_null(frames);
   for (int t = 0; t < T; t++) {
     kg_dynamics_pose(w.dynamics, w.subject->q + (size_t)t * (size_t)w.body->nq, w.p, w.R);
-    double depth = 0.0;
     for (int k = 0; k < w.body->point_count; k++) {
       const int i = w.body->points[k].segment;
       const kg_vec3 x = kg_vec3_add(w.p[i], kg_mat3_mul_vec(w.R[i], w.body->points[k].p));
-      depth = fmax(depth, -nearest_of_all(&w, k, x).distance);
+      int other = -1;
+      const double depth = -nearest_of_all(&w, k, x, &other).distance;
+      frames[t] = fmax(frames[t], depth);
+      if (depth > deepest.depth) deepest = (kg_deepest){depth, t, i, other};
     }
-    deepest = fmax(deepest, depth);
-    events += depth > 1e-3;
+    events += frames[t] > 1e-3;
+    inside += frames[t] > 1e-5;
+    sum += frames[t] > 1e-5 ? frames[t] : 0.0;
   }
-  assert_true(events > 0 && events < T && deepest > 0.01);
+  assert_true(events > 0 && inside < T && deepest.depth > 0.01);
   kg_metrics *metrics = NULL;
   assert_int_equal(kg_metrics_create(&metrics, w.subject, w.subject->q), KG_OK);
   const kg_motion_metrics *sides[2] = {&metrics->capture, &metrics->output};
   for (int k = 0; k < 2; k++) {
-    assert_close(sides[k]->self_penetration_max_m, deepest, 1e-12);
+    assert_close(sides[k]->self_penetration_max_m, deepest.depth, 1e-12);
+    assert_close(sides[k]->self_penetration_mean_m, sum / inside, 1e-12);
     assert_close(sides[k]->self_penetration_events, (double)events / T, 1e-12);
   }
+  const kg_deepest *found = &metrics->output_deepest[KG_OBSTACLE_SELF];
+  assert_int_equal(found->frame, deepest.frame);
+  assert_int_equal(found->segment, deepest.segment);
+  assert_int_equal(found->entered, deepest.entered);
+  for (int t = 0; t < T; t++) {
+    assert_close(metrics->self_penetration_frame_m[t], frames[t], 1e-12);
+  }
+  free(frames);
   kg_metrics_destroy(metrics);
   w.subject->self = false;
   assert_int_equal(kg_metrics_create(&metrics, w.subject, w.subject->q), KG_OK);
@@ -244,7 +262,8 @@ static double brute_depth(walker *w, const double *q)
   for (int k = 0; k < w->body->point_count; k++) {
     const int i = w->body->points[k].segment;
     const kg_vec3 x = kg_vec3_add(w->p[i], kg_mat3_mul_vec(w->R[i], w->body->points[k].p));
-    depth = fmax(depth, -nearest_of_all(w, k, x).distance);
+    int other = -1;
+    depth = fmax(depth, -nearest_of_all(w, k, x, &other).distance);
   }
   return depth;
 }

@@ -244,9 +244,9 @@ static void a_turned_place_spins_on(void **state_)
   release(&a);
 }
 
-/* deepest point of a state in the other's shapes, by plain loops */
+/* Deepest point of a state in the other's shapes, by plain loops; *worst, where it is deeper. */
 static double depth(kg_stage *stage, const kg_subject *subject, kg_dynamics *dynamics,
-                    const double *q, int t)
+                    const double *q, int t, kg_deepest *worst)
 {
   double deepest = 0.0;
   kg_stage_set(stage, t * subject->dt, kg_vec3_make(q[0], q[1], q[2]));
@@ -256,6 +256,10 @@ static double depth(kg_stage *stage, const kg_subject *subject, kg_dynamics *dyn
       kg_sdf_value v;
       assert_true(kg_scene_shape_distance(kg_stage_scene(stage), i, x, INFINITY, &v));
       deepest = fmax(deepest, -v.distance);
+      if (-v.distance > worst->depth) {
+        *worst = (kg_deepest){-v.distance, t, subject->body->points[k].segment,
+                              subject->other->body->shapes[i].segment};
+      }
     }
   }
   return deepest;
@@ -278,14 +282,17 @@ static void both_methods_lead_out(void **state_)
     if (kg_correct(&result, s, &def, &error) != KG_OK) fail_msg("%s", error.text);
     kg_metrics *metrics = NULL;
     assert_int_equal(kg_metrics_create(&metrics, s, result->q), KG_OK);
-    double before = 0.0, after = 0.0;
+    double before = 0.0, after = 0.0, sum = 0.0;
     int frames = 0, events = 0;
+    kg_deepest worst = {.depth = 0.0}, worst_left = {.depth = 0.0};
     for (int t = 0; t < s->frame_count; t++) {
-      const double d = depth(stage, s, dynamics, state(s, t), t);
-      const double left = depth(stage, s, dynamics, result->q + (size_t)t * (size_t)result->nq, t);
+      const double *out = result->q + (size_t)t * (size_t)result->nq;
+      const double d = depth(stage, s, dynamics, state(s, t), t, &worst);
+      const double left = depth(stage, s, dynamics, out, t, &worst_left);
       before = fmax(before, d);
       after = fmax(after, left);
       frames += d > KG_METRIC_TOUCH_DEPTH_M;
+      sum += d > KG_METRIC_TOUCH_DEPTH_M ? d : 0.0;
       events += d > KG_METRIC_EVENT_DEPTH_M;
       assert_close(metrics->other_penetration_frame_m[t], left, 1e-12);
     }
@@ -297,6 +304,13 @@ static void both_methods_lead_out(void **state_)
     assert_true(frames > 5 && before > 0.02);
     assert_at_most(after, KG_METRIC_TOUCH_DEPTH_M);
     assert_close(metrics->capture.other_penetration_max_m, before, 1e-12);
+    assert_close(metrics->capture.other_penetration_mean_m, sum / frames, 1e-12);
+    const kg_deepest *found = &metrics->capture_deepest[KG_OBSTACLE_OTHER];
+    assert_close(found->depth, worst.depth, 1e-12);
+    assert_int_equal(found->frame, worst.frame);
+    assert_int_equal(found->segment, worst.segment);
+    assert_int_equal(found->entered, worst.entered);
+    assert_close(metrics->output_deepest[KG_OBSTACLE_OTHER].depth, worst_left.depth, 1e-12);
     assert_close(metrics->capture.other_frames, frames, 1e-12);
     assert_close(metrics->capture.other_penetration_events, (double)events / s->frame_count, 1e-12);
     assert_close(metrics->output.other_frames, 0.0, 1e-12);

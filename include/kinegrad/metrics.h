@@ -13,7 +13,7 @@ extern "C" {
 
 /* Constants of the metrics: printed in every report, changed nowhere else. */
 #define KG_METRIC_EVENT_DEPTH_M 1e-3       /* penetration event: d_pen above this               */
-#define KG_METRIC_TOUCH_DEPTH_M 1e-5       /* the other athlete is touched: d_pen above this    */
+#define KG_METRIC_TOUCH_DEPTH_M 1e-5       /* a frame is inside, or touches: d_pen above this   */
 #define KG_METRIC_SLIP_HEIGHT_M 0.010      /* a node slips when Phi <= this in both frames      */
 #define KG_METRIC_MOMENTUM_DT_S 0.02       /* resampling for angular_momentum_change            */
 #define KG_METRIC_SMOOTHING_HZ 20.0        /* zero-lag Butterworth, order 4, before derivatives */
@@ -26,10 +26,27 @@ extern "C" {
 #define KG_METRIC_LEAST_ACCELERATION 1.0   /* m/s^2; lower bound of both peaks in their ratio   */
 #define KG_METRIC_NORMALIZED_FRAMES 100    /* of mpjpe against normalised time                  */
 
+/* What a body may be inside of. */
+typedef enum kg_obstacle {
+  KG_OBSTACLE_SCENE, /* floor and shapes                        */
+  KG_OBSTACLE_OTHER, /* the other athlete (subject->other)      */
+  KG_OBSTACLE_SELF,  /* segments of its own (kinegrad/self.h)   */
+  KG_OBSTACLE_COUNT
+} kg_obstacle;
+
+/* The deepest point of a motion in one of them; depth 0 and -1 for the rest when none is inside. */
+typedef struct kg_deepest {
+  double depth; /* m                                                          */
+  int frame;    /* motion frame, the first of equals                          */
+  int segment;  /* whose point it is                                          */
+  int entered;  /* segment it is in, of the other or its own; -1 in the scene */
+} kg_deepest;
+
 /* Metrics of one motion (the capture or the output) under the subject's body and scene. */
 typedef struct kg_motion_metrics {
   double penetration_events;        /* share of frames                        */
   double penetration_max_m;
+  double penetration_mean_m;        /* over frames deeper than KG_METRIC_TOUCH_DEPTH_M; 0: none */
   double slip_m;                    /* per frame at the clip's own rate       */
   double slip_m_per_s;
   double slip_50hz_m;               /* the one validity uses                  */
@@ -42,14 +59,16 @@ typedef struct kg_motion_metrics {
   double jerk_rms;                  /* m/s^3 over joints and frames           */
   double spectral_arc_length;       /* of the mean joint speed, dimensionless */
   double foot_skate_ratio;          /* share of node-frames at Phi <= 10 mm faster than 0.1 m/s */
-  /* of the body's points in the other athlete's (subject->other); NAN without one. The first two
+  /* of the body's points in the other athlete's (subject->other); NAN without one. The first three
      numbers of this struct are of the scene alone */
   double other_penetration_events;  /* share of frames                        */
   double other_penetration_max_m;
+  double other_penetration_mean_m;
   double other_frames;              /* frames in which a point is inside by more than 0.01 mm */
   /* of the body's points in segments of its own (kinegrad/self.h); NAN unless subject->self */
   double self_penetration_events;   /* share of frames deeper than KG_METRIC_EVENT_DEPTH_M    */
   double self_penetration_max_m;
+  double self_penetration_mean_m;
 } kg_motion_metrics;
 
 typedef struct kg_metrics {
@@ -64,7 +83,9 @@ typedef struct kg_metrics {
   int acceleration_peak_joint;      /* segment where it occurs                         */
   double *penetration_frame_m;      /* (T) d_pen of the output                         */
   double *other_penetration_frame_m; /* (T) of the output in the other athlete; zero without one */
+  double *self_penetration_frame_m; /* (T) of the output in itself; zero unless subject->self */
   kg_motion_metrics capture, output;
+  kg_deepest capture_deepest[KG_OBSTACLE_COUNT], output_deepest[KG_OBSTACLE_COUNT];
   const kg_allocator *allocator;
   void *memory;
 } kg_metrics;
