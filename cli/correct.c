@@ -6,6 +6,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "cli/around.h"
 #include "cli/commands.h"
 #include "cli/forces.h"
 #include "cli/json.h"
@@ -13,7 +14,6 @@
 #include "cli/progress.h"
 #include "cli/ranges.h"
 #include "cli/reading.h"
-#include "cli/scene_file.h"
 #include "cli/scores.h"
 #include "kinegrad/arena.h"
 #include "kinegrad/correct.h"
@@ -25,10 +25,7 @@ typedef struct correct_values {
   int method; /* kg_correct_method */
   double dt;  /* s; NAN: not given */
   double gravity;
-  cli_paths scene;
-  double scene_unit;
-  const char *with;
-  bool self;
+  cli_around_values around;
   const char *forces;
   const char *json;
   int threads;
@@ -39,9 +36,9 @@ typedef struct correction {
   const correct_values *values;
   kg_arena arena;
   cli_output *bvh, *csv, *json;
-  cli_scene scene;
-  kg_clip *clip, *other_clip;
-  kg_subject *subject, *other;
+  cli_around around;
+  kg_clip *clip;
+  kg_subject *subject;
   kg_correct_def def;
   kg_correct_result *result;
   kg_metrics *metrics;
@@ -101,26 +98,19 @@ static int check_inputs(const correct_values *values, const char *const *inputs,
 /* The clip itself may be replaced by its correction; nothing else that is read may be. */
 static int check_overwriting(const correct_values *values, const char *clip)
 {
-  enum { CLIP, ASF, MAP, OTHER, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_PATHS };
-  const char *inputs[MOST] = {clip, values->reading.asf, values->reading.map, values->with};
-  const int count = FIRST_MESH + values->scene.count;
-  for (int i = 0; i < values->scene.count; i++) {
-    inputs[FIRST_MESH + i] = values->scene.path[i];
-  }
-  return check_inputs(values, inputs, count, 1);
+  enum { CLIP, ASF, MAP, AROUND };
+  const char *inputs[AROUND + CLI_MAX_AROUND_PATHS] = {clip, values->reading.asf,
+                                                       values->reading.map};
+  return check_inputs(values, inputs, AROUND + cli_around_paths(&values->around, inputs + AROUND),
+                      1);
 }
 
 /* nor what was found by name, or in a description of a scene */
 static int check_overwriting_found(const correction *c)
 {
-  enum { SKELETON, OTHER_SKELETON, FIRST_MESH, MOST = FIRST_MESH + CLI_MAX_MESHES };
-  const char *inputs[MOST] = {c->clip->source.skeleton_path,
-                              c->other_clip ? c->other_clip->source.skeleton_path : NULL};
-  const int count = FIRST_MESH + c->scene.mesh_count;
-  for (int i = 0; i < c->scene.mesh_count; i++) {
-    inputs[FIRST_MESH + i] = c->scene.mesh_paths[i];
-  }
-  return check_inputs(c->values, inputs, count, 0);
+  enum { SKELETON, AROUND };
+  const char *inputs[AROUND + CLI_MAX_AROUND_FOUND] = {c->clip->source.skeleton_path};
+  return check_inputs(c->values, inputs, AROUND + cli_around_found(&c->around, inputs + AROUND), 0);
 }
 
 static int open_outputs(correction *c)
@@ -134,51 +124,6 @@ static int open_outputs(correction *c)
   return CLI_GOOD;
 }
 
-static int read_scene(correction *c)
-{
-  const correct_values *values = c->values;
-  int code = CLI_GOOD;
-  for (int i = 0; i < values->scene.count && code == CLI_GOOD; i++) {
-    code = cli_scene_add(&c->scene, values->scene.path[i], values->scene_unit, values->talk.quiet);
-  }
-  return code;
-}
-
-/* What happens when one of the clips ends first */
-static void tell_ends(const correction *c)
-{
-  const double own = (c->subject->frame_count - 1) * c->subject->dt;
-  const double other = (c->other->frame_count - 1) * c->other->dt;
-  if (other < own - 0.5 * c->subject->dt) {
-    cli_warning(c->values->talk.quiet,
-                "%s ends at %.3f s, %s at %.3f s: from then on the other athlete is not there",
-                c->values->with, other, c->clip->source.path, own);
-  } else if (other > own + 0.5 * c->other->dt) {
-    cli_warning(c->values->talk.quiet,
-                "%s ends at %.3f s, %s at %.3f s: the rest of it is not used", c->clip->source.path,
-                own, c->values->with, other);
-  }
-}
-
-static int read_other(correction *c)
-{
-  const correct_values *values = c->values;
-  const int code =
-    cli_read_clip(&c->other_clip, values->with, &values->reading, values->talk.quiet);
-  return code == CLI_GOOD ? cli_create_subject(&c->other, c->other_clip, &values->reading, NULL)
-                          : code;
-}
-
-static int create_subject(correction *c)
-{
-  kg_subject_def around = kg_subject_default_def();
-  around.extra = &c->scene.scene;
-  around.ground = c->scene.floor_file ? &c->scene.floor : NULL;
-  around.other = c->other;
-  around.self = c->values->self;
-  return cli_create_subject(&c->subject, c->clip, &c->values->reading, &around);
-}
-
 static int interrupted(void)
 {
   cli_message("interrupted; nothing was written");
@@ -190,19 +135,14 @@ static int read_inputs(correction *c, const char *path)
   const correct_values *values = c->values;
   int code = cli_read_clip(&c->clip, path, &values->reading, values->talk.quiet);
   if (code == CLI_GOOD) {
-    code = read_scene(c);
-  }
-  if (code == CLI_GOOD && values->with) {
-    code = read_other(c);
+    code = cli_around_read(&c->around, &values->around, &values->reading, values->talk.quiet);
   }
   if (code == CLI_GOOD) {
     code = check_overwriting_found(c);
   }
   if (code == CLI_GOOD) {
-    code = create_subject(c);
-  }
-  if (code == CLI_GOOD && c->other) {
-    tell_ends(c);
+    code =
+      cli_around_subject(&c->subject, &c->around, c->clip, &values->reading, values->talk.quiet);
   }
   return code == CLI_GOOD && cli_interrupted() ? interrupted() : code;
 }
@@ -408,46 +348,13 @@ static void set_residuals(json_t *root, const correction *c)
   cli_json_set_number(root, "correction_force_ratio_peak", r->correction_force_ratio_peak);
 }
 
-/* of all shapes, the floor among them */
-typedef struct scene_counts {
-  int shapes, soft, moving;
-} scene_counts;
-
-static scene_counts count_scene(const kg_scene *scene)
-{
-  scene_counts counts = {scene->shape_count, 0, 0};
-  for (int i = 0; i < scene->shape_count; i++) {
-    const kg_sdf_shape *shape = &scene->shapes[i];
-    const kg_place *place = shape->place > 0 ? &scene->places[shape->place - 1] : NULL;
-    counts.soft += shape->ground > 0;
-    counts.moving += place && kg_place_is_moving(place);
-  }
-  return counts;
-}
-
-static json_t *scene_object(const correction *c)
-{
-  const scene_counts counts = count_scene(&c->subject->scene);
-  json_t *object = json_object(), *files = json_array();
-  for (int i = 0; i < c->values->scene.count; i++) {
-    json_array_append_new(files, cli_json_text(c->values->scene.path[i]));
-  }
-  json_object_set_new(object, "files", files);
-  cli_json_set_integer(object, "shape_count", counts.shapes);
-  cli_json_set_integer(object, "soft_count", counts.soft);
-  cli_json_set_integer(object, "moving_count", counts.moving);
-  cli_json_set_number(object, "floor_thickness_m",
-                      c->scene.floor_file ? c->scene.floor.thickness : 0.0);
-  return object;
-}
-
 static json_t *report(const correction *c)
 {
   const kg_correct_result *r = c->result;
   json_t *root = cli_json_report("correct");
   cli_json_set_text(root, "method", method_name(c->values));
   cli_json_set_text(root, "output", c->values->output);
-  cli_report_scores(root, c->metrics);
+  cli_report_scores(root, c->subject, c->metrics);
   set_residuals(root, c);
   cli_json_set_integer(root, "unexplained_count", r->unexplained_count);
   json_object_set_new(root, "unexplained_frames",
@@ -459,12 +366,7 @@ static json_t *report(const correction *c)
   json_object_set_new(root, "newton", newton_object(c));
   cli_json_set_integer(root, "sdf_iterations", r->sdf_iterations);
   cli_report_source(root, c->clip, c->subject);
-  json_object_set_new(root, "scene", scene_object(c));
-  if (c->other) {
-    json_t *other = json_object();
-    cli_report_source(other, c->other_clip, c->other);
-    json_object_set_new(root, "other", other);
-  }
+  cli_report_around(root, &c->around, c->subject);
   json_object_set_new(root, "constants", constants_object(c));
   json_object_set_new(root, "joints", joints_object(c));
   json_object_set_new(root, "frames", frames_object(c));
@@ -475,22 +377,9 @@ static void print_table(FILE *out, const correction *c)
 {
   const kg_correct_result *r = c->result;
   cli_print_source(out, c->clip, c->subject);
-  const scene_counts counts = count_scene(&c->subject->scene);
-  const bool has_soft_floor = c->scene.floor_file != NULL;
-  if (counts.shapes > 1 || has_soft_floor) {
-    fprintf(out, "  scene        %s", has_soft_floor ? "soft floor" : "floor");
-    if (counts.shapes > 1) {
-      fprintf(out, " and %d %s, %d soft, %d moving", counts.shapes - 1,
-              counts.shapes > 2 ? "shapes" : "shape", counts.soft - has_soft_floor, counts.moving);
-    }
-    fputc('\n', out);
-  }
-  if (c->other) {
-    fprintf(out, "  with         %s, %d frames at %.6g Hz\n", c->values->with,
-            c->other->frame_count, 1.0 / c->other->dt);
-  }
+  cli_print_around(out, &c->around, c->subject);
   fprintf(out, "\n%s, --method %s\n", c->values->output, method_name(c->values));
-  cli_print_scores(out, c->metrics);
+  cli_print_scores(out, c->subject, c->metrics);
   char text[96];
   if (c->def.method == KG_CORRECT_TRACK) {
     snprintf(text, sizeof text, "RMS over peak GRF; peak %.3g", r->residual_force_peak);
@@ -580,11 +469,37 @@ static int judge_distance(correction *c)
   return CLI_ANSWER_IS_NO;
 }
 
+/* What is still inside of something by more than a penetration event. */
+static int judge_depth(correction *c)
+{
+  static const char *const names[KG_OBSTACLE_COUNT] = {"the scene", "the other athlete", "itself"};
+  const kg_metrics *m = c->metrics;
+  const double *const depths[KG_OBSTACLE_COUNT] = {
+    m->penetration_frame_m, m->other_penetration_frame_m, m->self_penetration_frame_m};
+  const int T = c->result->frame_count;
+  bool *is_deep = KG_ARENA_ARRAY(&c->arena, bool, T);
+  int code = CLI_GOOD;
+  for (int k = 0; k < KG_OBSTACLE_COUNT; k++) {
+    if (!(m->output_deepest[k].depth > KG_METRIC_EVENT_DEPTH_M)) continue;
+    for (int t = 0; t < T && is_deep; t++) {
+      is_deep[t] = depths[k][t] > KG_METRIC_EVENT_DEPTH_M;
+    }
+    cli_message("%s: the output is inside %s by more than %g mm in %s, at most by %s; %s was "
+                "written",
+                c->clip->source.path, names[k], 1e3 * KG_METRIC_EVENT_DEPTH_M,
+                describe(c, is_deep).text, cli_deepest_text(c->subject, m, k).text,
+                c->values->output);
+    code = CLI_ANSWER_IS_NO;
+  }
+  return code;
+}
+
 /* Done, but is the answer yes? Messages are errors: --quiet does not hide them. */
 static int judge(correction *c)
 {
   const kg_correct_result *r = c->result;
   int code = judge_distance(c);
+  if (judge_depth(c) != CLI_GOOD) code = CLI_ANSWER_IS_NO;
   if (r->unexplained_count > 0) {
     cli_message("%s: external support missing in %s: no contact explains the motion there, "
                 "so %s was written but is not physical in these frames",
@@ -613,10 +528,8 @@ static void release(correction *c)
   kg_metrics_destroy(c->metrics);
   kg_correct_result_destroy(c->result);
   kg_subject_destroy(c->subject);
-  kg_subject_destroy(c->other);
   kg_clip_destroy(c->clip);
-  kg_clip_destroy(c->other_clip);
-  cli_scene_release(&c->scene);
+  cli_around_release(&c->around);
   kg_arena_release(&c->arena);
 }
 
@@ -707,39 +620,6 @@ static const cli_option method_options[] = {
    .minimum = 0.0,
    .maximum = 100.0,
    .offset = offsetof(correct_values, gravity)},
-  {.name = "scene",
-   .kind = CLI_PATHS,
-   .value_name = "FILE",
-   .summary = "a solid beside the ground: OBJ, PLY, OFF or STL; or a scene: JSON",
-   .details = "In the clip's world, Y up. What is wrong with a mesh (open, inside out) is said. A "
-              "file whose name ends in .json describes boxes, mats, capsules and other shapes, "
-              "meshes, what is soft and what moves: docs/guide/scenes.md.",
-   .offset = offsetof(correct_values, scene)},
-  {.name = "scene-unit",
-   .kind = CLI_NUMBER,
-   .value_name = "M",
-   .unit = "m per unit of the mesh",
-   .default_text = "1",
-   .summary = "length of one unit of the meshes",
-   .minimum = 1e-6,
-   .maximum = 1000.0,
-   .offset = offsetof(correct_values, scene_unit)},
-  {.name = "with",
-   .kind = CLI_PATH,
-   .value_name = "CLIP",
-   .summary = "another athlete's clip of the same session, who is in the way",
-   .details = "Read as the clip itself is, in the same world; time 0 is the first motion frame of "
-              "both, frame rates may differ. Its body is a moving part of the scene: it is touched "
-              "and kept out of, but not changed. The report has the other_ rows then.",
-   .offset = offsetof(correct_values, with)},
-  {.name = "self",
-   .kind = CLI_FLAG,
-   .summary = "the body's own arms, legs and trunk are in each other's way",
-   .details =
-     "Points of a segment are held against the shapes of segments three joints away or "
-     "more, as far as these do not overlap in the skeleton's rest pose. The report has the "
-     "self_ rows then.",
-   .offset = offsetof(correct_values, self)},
   {.name = "threads",
    .kind = CLI_INT,
    .value_name = "N",
@@ -754,6 +634,8 @@ static const cli_option method_options[] = {
 static const cli_group groups[] = {
   {"Results", result_options, KG_COUNT_OF(result_options), 0},
   {"Method", method_options, KG_COUNT_OF(method_options), 0},
+  {"What is in the way", cli_around_options, CLI_AROUND_OPTION_COUNT,
+   offsetof(correct_values, around)},
   {"Reading the clip", cli_reading_options, CLI_READING_OPTION_COUNT,
    offsetof(correct_values, reading)},
   {"General", cli_talk_options, CLI_TALK_OPTION_COUNT, offsetof(correct_values, talk)},
@@ -764,7 +646,7 @@ static const correct_values defaults = {
   .method = KG_CORRECT_TRACK,
   .dt = NAN,
   .gravity = NAN,
-  .scene_unit = 1.0,
+  .around = CLI_AROUND_DEFAULTS,
   .threads = 1,
 };
 
@@ -776,7 +658,8 @@ const cli_command cli_command_correct = {
     "Reads a clip (BVH, or AMC with its ASF skeleton), corrects it and writes it as BVH. Prints "
     "the metrics of the capture beside those of the file that was written.\n"
     "Exit code 1: the file was written, but in some frames no contact explains the motion, or a "
-    "step of the simulation did not converge, a lost simulation was set back, or the output is no "
+    "step of the simulation did not converge, a lost simulation was set back, a point is still "
+    "more than 1 mm inside the scene, the other athlete or the body itself, or the output is no "
     "longer near the capture (a frame by more than 0.5 m in the mean of its joints, or all frames "
     "by more than 0.3 m in the mean); the message names the frames.",
   .examples =

@@ -6,6 +6,7 @@
 #include <strings.h>
 #include <sys/stat.h>
 
+#include "cli/around.h"
 #include "cli/commands.h"
 #include "cli/json.h"
 #include "cli/messages.h"
@@ -15,6 +16,7 @@
 typedef struct eval_values {
   cli_reading reading;
   cli_talk talk;
+  cli_around_values around;
   const char *json;
 } eval_values;
 
@@ -61,46 +63,60 @@ static int measure(pair *p, const char *output_path)
   return status == KG_OK ? CLI_GOOD : cli_failed_status(status, output_path);
 }
 
-static int load(pair *p, const eval_values *values, const char *capture_path,
-                const char *output_path)
+/* Files that are read, by the command line and by what stands in them, and not written over. */
+static bool overwrites(const eval_values *values, const cli_around *around,
+                       const char *capture_path, const char *output_path)
 {
+  const char *given[4 + CLI_MAX_AROUND_PATHS] = {capture_path, output_path, values->reading.asf,
+                                                 values->reading.map};
+  const char *found[CLI_MAX_AROUND_FOUND];
+  return cli_is_input("--json", values->json, given,
+                      4 + cli_around_paths(&values->around, given + 4)) ||
+         cli_is_input("--json", values->json, found, cli_around_found(around, found));
+}
+
+static int load(pair *p, const eval_values *values, const cli_around *around,
+                const char *capture_path, const char *output_path)
+{
+  if (overwrites(values, around, capture_path, output_path)) {
+    return CLI_USAGE;
+  }
   int code = cli_read_clip(&p->capture, capture_path, &values->reading, values->talk.quiet);
   if (code == CLI_GOOD) {
-    code = cli_create_subject(&p->subject, p->capture, &values->reading, NULL);
+    code =
+      cli_around_subject(&p->subject, around, p->capture, &values->reading, values->talk.quiet);
   }
   return code == CLI_GOOD ? measure(p, output_path) : code;
 }
 
-static json_t *pair_object(json_t *object, const pair *p, const char *output_path)
+static json_t *pair_object(json_t *object, const pair *p, const cli_around *around,
+                           const char *output_path)
 {
   cli_json_set_text(object, "output", output_path);
-  cli_report_scores(object, p->metrics);
+  cli_report_scores(object, p->subject, p->metrics);
   cli_report_source(object, p->capture, p->subject);
+  cli_report_around(object, around, p->subject);
   json_object_set_new(object, "constants", cli_constants_object());
   json_object_set_new(object, "joints", cli_joints_object(p->subject, p->metrics));
   json_object_set_new(object, "frames", cli_frames_object(p->subject, p->metrics));
   return object;
 }
 
-static int evaluate_pair(const eval_values *values, const cli_operands *operands, cli_output *json,
-                         FILE *out)
+static int evaluate_pair(const eval_values *values, const cli_around *around,
+                         const cli_operands *operands, cli_output *json, FILE *out)
 {
-  const char *const inputs[] = {operands->at[0], operands->at[1], values->reading.asf,
-                                values->reading.map};
-  if (cli_is_input("--json", values->json, inputs, (int)KG_COUNT_OF(inputs))) {
-    return CLI_USAGE;
-  }
   pair p = {NULL, NULL, NULL};
-  int code = load(&p, values, operands->at[0], operands->at[1]);
+  int code = load(&p, values, around, operands->at[0], operands->at[1]);
   if (code == CLI_GOOD && values->json) {
-    json_t *root = pair_object(cli_json_report("eval"), &p, operands->at[1]);
+    json_t *root = pair_object(cli_json_report("eval"), &p, around, operands->at[1]);
     code = cli_json_write(root, json, out) ? CLI_GOOD : CLI_OUTPUT;
     json_decref(root);
   }
   if (code == CLI_GOOD && !cli_json_is_stdout(values->json)) {
     cli_print_source(out, p.capture, p.subject);
+    cli_print_around(out, around, p.subject);
     fprintf(out, "\n%s\n", operands->at[1]);
-    cli_print_scores(out, p.metrics);
+    cli_print_scores(out, p.subject, p.metrics);
   }
   release(&p);
   return code;
@@ -206,8 +222,9 @@ static void set_means(json_t *root, const totals *mean)
 }
 
 /* One capture of the folder; a clip without output is told and counted, not an error. */
-static int evaluate_entry(const eval_values *values, const cli_operands *operands, const char *name,
-                          totals *sum, json_t *clips, json_t *missing, FILE *table)
+static int evaluate_entry(const eval_values *values, const cli_around *around,
+                          const cli_operands *operands, const char *name, totals *sum,
+                          json_t *clips, json_t *missing, FILE *table)
 {
   char capture_path[CLI_MAX_PATH], output_path[CLI_MAX_PATH];
   snprintf(capture_path, sizeof capture_path, "%s/%s", operands->at[0], name);
@@ -216,16 +233,11 @@ static int evaluate_entry(const eval_values *values, const cli_operands *operand
     json_array_append_new(missing, cli_json_text(capture_path));
     return CLI_GOOD;
   }
-  const char *const inputs[] = {capture_path, output_path, values->reading.asf,
-                                values->reading.map};
-  if (cli_is_input("--json", values->json, inputs, (int)KG_COUNT_OF(inputs))) {
-    return CLI_USAGE;
-  }
   pair p = {NULL, NULL, NULL};
-  const int code = load(&p, values, capture_path, output_path);
+  const int code = load(&p, values, around, capture_path, output_path);
   if (code == CLI_GOOD) {
     add(sum, &p, name, table);
-    json_array_append_new(clips, pair_object(json_object(), &p, output_path));
+    json_array_append_new(clips, pair_object(json_object(), &p, around, output_path));
   }
   release(&p);
   return code;
@@ -246,8 +258,8 @@ static int finish_folders(const eval_values *values, totals *sum, json_t *root, 
            : code;
 }
 
-static int evaluate_folders(const eval_values *values, const cli_operands *operands,
-                            cli_output *json, FILE *out)
+static int evaluate_folders(const eval_values *values, const cli_around *around,
+                            const cli_operands *operands, cli_output *json, FILE *out)
 {
   struct dirent **entries = NULL;
   const int count = scandir(operands->at[0], &entries, keep_clips, by_bytes);
@@ -260,7 +272,8 @@ static int evaluate_folders(const eval_values *values, const cli_operands *opera
   }
   for (int i = 0; i < count; i++) {
     if (code == CLI_GOOD && !cli_interrupted()) {
-      code = evaluate_entry(values, operands, entries[i]->d_name, &sum, clips, missing, table);
+      code =
+        evaluate_entry(values, around, operands, entries[i]->d_name, &sum, clips, missing, table);
     }
     free(entries[i]);
   }
@@ -298,11 +311,21 @@ static int run(const void *values_given, const cli_operands *operands, FILE *out
     cli_message("'eval' compares two clips or two folders, not a clip and a folder");
     return CLI_USAGE;
   }
+  if (first && values->around.with) {
+    cli_message("--with has no meaning with two folders: another athlete belongs to one clip");
+    return CLI_USAGE;
+  }
   cli_output *json = NULL;
   if (!cli_json_open(&json, values->json)) {
     return CLI_OUTPUT;
   }
-  return (first ? evaluate_folders : evaluate_pair)(values, operands, json, out);
+  cli_around around = {0};
+  int code = cli_around_read(&around, &values->around, &values->reading, values->talk.quiet);
+  if (code == CLI_GOOD) {
+    code = (first ? evaluate_folders : evaluate_pair)(values, &around, operands, json, out);
+  }
+  cli_around_release(&around);
+  return code;
 }
 
 static const cli_option result_options[] = {
@@ -318,12 +341,15 @@ static const cli_option result_options[] = {
 
 static const cli_group groups[] = {
   {"Results", result_options, KG_COUNT_OF(result_options), 0},
+  {"What is in the way", cli_around_options, CLI_AROUND_OPTION_COUNT,
+   offsetof(eval_values, around)},
   {"Reading the capture", cli_reading_options, CLI_READING_OPTION_COUNT,
    offsetof(eval_values, reading)},
   {"General", cli_talk_options, CLI_QUIET_ONLY, offsetof(eval_values, talk)},
 };
 
-static const eval_values defaults = {.reading = CLI_READING_DEFAULTS};
+static const eval_values defaults = {.reading = CLI_READING_DEFAULTS,
+                                     .around = CLI_AROUND_DEFAULTS};
 
 const cli_command cli_command_eval = {
   .name = "eval",
@@ -331,10 +357,14 @@ const cli_command cli_command_eval = {
   .usage = "CAPTURE OUT [options]",
   .details =
     "Measures a clip that was made from a capture, by this program or another: same joints, same "
-    "number of frames. Floor and body are estimated from the capture and used for both. Two "
-    "folders are paired by file name; the output of an AMC clip has its name with .bvh.\n"
+    "number of frames. Floor and body are estimated from the capture and used for both; --scene, "
+    "--with and --self put the same in the way as they do for 'correct', so that its output is "
+    "measured against what it was corrected for. Two folders are paired by file name; the output "
+    "of an AMC clip has its name with .bvh.\n"
     "Exit code 1: some clips of the first folder have no output in the second.",
   .examples = (const char *const[]){"kinegrad eval walk.bvh walk_fixed.bvh",
+                                    "kinegrad eval walk.bvh walk_fixed.bvh --scene gym.json --self",
+                                    "kinegrad eval walk.bvh walk_fixed.bvh --with partner.bvh",
                                     "kinegrad eval captures corrected --json scores.json", NULL},
   .groups = groups,
   .group_count = KG_COUNT_OF(groups),

@@ -12,6 +12,7 @@
 const cli_score cli_scores[] = {
   ROW(penetration_events,            true, "share of frames deeper than 1 mm"),
   ROW(penetration_max_m,             true, "deepest point below the surface, m"),
+  ROW(penetration_mean_m,            false, "mean over the frames inside, m"),
   ROW(slip_m,                        true, "sliding of grounded sole nodes per frame, m"),
   ROW(slip_m_per_s,                  true, "the same per second, m/s"),
   ROW(slip_50hz_m,                   false, "the same at 50 Hz, m"),
@@ -26,9 +27,11 @@ const cli_score cli_scores[] = {
   ROW(foot_skate_ratio,              false, "share of grounded node-frames above 0.1 m/s"),
   ROW(other_penetration_events,      false, "share of frames deeper than 1 mm in the other athlete"),
   ROW(other_penetration_max_m,       false, "deepest point in the other athlete, m"),
+  ROW(other_penetration_mean_m,      false, "mean over the frames inside, m"),
   ROW(other_frames,                  false, "frames with a point inside the other athlete"),
   ROW(self_penetration_events,       false, "share of frames deeper than 1 mm in the body itself"),
   ROW(self_penetration_max_m,        false, "deepest point in a segment of the same body, m"),
+  ROW(self_penetration_mean_m,       false, "mean over the frames inside, m"),
 };
 /* clang-format on */
 const int cli_score_count = (int)KG_COUNT_OF(cli_scores);
@@ -55,7 +58,65 @@ void cli_print_score(FILE *out, const char *key, double capture, double output, 
   fprintf(out, "  %s\n", text);
 }
 
-void cli_print_scores(FILE *out, const kg_metrics *metrics)
+/* ---- the deepest point ------------------------------------------------------------------------- */
+
+static const char *const obstacle_keys[KG_OBSTACLE_COUNT] = {"penetration", "other_penetration",
+                                                             "self_penetration"};
+
+/* Names of the segments: whose point it is, and what is entered (NULL: the scene). */
+static void name_segments(const kg_subject *subject, kg_obstacle obstacle,
+                          const kg_deepest *deepest, const char *names[2])
+{
+  const kg_body *entered = obstacle == KG_OBSTACLE_OTHER ? subject->other->body : subject->body;
+  names[0] = subject->body->segments[deepest->segment].name;
+  names[1] = deepest->entered < 0 ? NULL : entered->segments[deepest->entered].name;
+}
+
+cli_deepest cli_deepest_text(const kg_subject *subject, const kg_metrics *metrics,
+                             kg_obstacle obstacle)
+{
+  const kg_deepest *deepest = &metrics->output_deepest[obstacle];
+  const char *names[2];
+  cli_deepest out;
+  name_segments(subject, obstacle, deepest, names);
+  snprintf(out.text, sizeof out.text, "%.1f mm in frame %d (%s%s%s)", 1e3 * deepest->depth,
+           deepest->frame + subject->first_frame, names[0], names[1] ? " in " : "",
+           names[1] ? names[1] : "");
+  return out;
+}
+
+static void print_deepest(FILE *out, const kg_subject *subject, const kg_metrics *metrics)
+{
+  for (int k = 0; k < KG_OBSTACLE_COUNT; k++) {
+    if (!(metrics->output_deepest[k].depth > KG_METRIC_EVENT_DEPTH_M)) continue;
+    fprintf(out, "  output's %s_max_m: %s\n", obstacle_keys[k],
+            cli_deepest_text(subject, metrics, k).text);
+  }
+}
+
+/* null where nothing is inside */
+static void set_deepest(json_t *object, const kg_subject *subject, const kg_deepest *deepest)
+{
+  for (int k = 0; k < KG_OBSTACLE_COUNT; k++) {
+    const bool is_inside = deepest[k].frame >= 0;
+    json_t *segments = is_inside ? json_array() : json_null();
+    const char *names[2] = {NULL, NULL};
+    if (is_inside) name_segments(subject, k, &deepest[k], names);
+    for (int i = 0; i < 2 && names[i]; i++) {
+      json_array_append_new(segments, cli_json_text(names[i]));
+    }
+    char key[64];
+    snprintf(key, sizeof key, "%s_frame", obstacle_keys[k]);
+    json_object_set_new(
+      object, key, is_inside ? json_integer(deepest[k].frame + subject->first_frame) : json_null());
+    snprintf(key, sizeof key, "%s_segments", obstacle_keys[k]);
+    json_object_set_new(object, key, segments);
+  }
+}
+
+/* ---- tables and reports ------------------------------------------------------------------------ */
+
+void cli_print_scores(FILE *out, const kg_subject *subject, const kg_metrics *metrics)
 {
   fprintf(out, "  %-30s %11s %11s\n", "", "capture", "output");
   cli_print_score(out, "mpjpe_m", NAN, metrics->mpjpe_m, "mean distance of joints, m");
@@ -68,23 +129,26 @@ void cli_print_scores(FILE *out, const kg_metrics *metrics)
     if (isnan(capture) && isnan(output)) continue; /* of what is not there */
     cli_print_score(out, cli_scores[i].key, capture, output, cli_scores[i].text);
   }
+  print_deepest(out, subject, metrics);
 }
 
-static void set_scores(json_t *object, const kg_motion_metrics *metrics)
+static void set_scores(json_t *object, const kg_subject *subject, const kg_motion_metrics *metrics,
+                       const kg_deepest *deepest)
 {
   for (int i = 0; i < cli_score_count; i++) {
     cli_json_set_number(object, cli_scores[i].key, cli_score_value(metrics, i));
   }
+  set_deepest(object, subject, deepest);
 }
 
-void cli_report_scores(json_t *root, const kg_metrics *metrics)
+void cli_report_scores(json_t *root, const kg_subject *subject, const kg_metrics *metrics)
 {
   cli_json_set_number(root, "mpjpe_m", metrics->mpjpe_m);
   cli_json_set_number(root, "mpjpe_max_m", metrics->mpjpe_max_m);
   cli_json_set_number(root, "acceleration_peak_ratio", metrics->acceleration_peak_ratio);
-  set_scores(root, &metrics->output);
+  set_scores(root, subject, &metrics->output, metrics->output_deepest);
   json_t *capture = json_object();
-  set_scores(capture, &metrics->capture);
+  set_scores(capture, subject, &metrics->capture, metrics->capture_deepest);
   json_object_set_new(root, "capture", capture);
   json_object_set_new(root, "mpjpe_normalized_m",
                       cli_json_numbers(metrics->mpjpe_normalized_m, KG_METRIC_NORMALIZED_FRAMES));
@@ -107,6 +171,10 @@ json_t *cli_frames_object(const kg_subject *subject, const kg_metrics *metrics)
   if (subject->other) {
     json_object_set_new(object, "other_penetration_m",
                         cli_json_numbers(metrics->other_penetration_frame_m, metrics->frame_count));
+  }
+  if (subject->self) {
+    json_object_set_new(object, "self_penetration_m",
+                        cli_json_numbers(metrics->self_penetration_frame_m, metrics->frame_count));
   }
   return object;
 }

@@ -25,7 +25,7 @@ static void print_formats(FILE *out)
 
 static void print_scenes(FILE *out)
 {
-  fputs("What --scene of correct puts beside the floor: mesh files, and descriptions whose names\n"
+  fputs("What --scene puts beside the floor: mesh files, and descriptions whose names\n"
         "end in .json. Metres in the clip's world, Y up, as 'kinegrad info' prints the floor.\n"
         "  {\"floor\": {\"soft\": {\"thickness_m\": 0.03}},\n"
         "   \"shapes\": [\n"
@@ -45,7 +45,7 @@ static void print_scenes(FILE *out)
     "         thickness_m, stiffness_N_per_m of one sample point, damping_s_per_m, friction\n",
     out);
   cli_print_scene_limits(out);
-  fputs("Another athlete is a clip: 'correct --with'. Examples and defaults stand in\n"
+  fputs("Another athlete is a clip: --with of correct and eval. Examples and defaults stand in\n"
         "docs/guide/scenes.md.\n",
         out);
 }
@@ -64,9 +64,9 @@ static void print_exit_codes(FILE *out)
 {
   fputs("  0    done, and the answer is good\n"
         "  1    done, but the answer is no: frames that no contact explains, a step that did not\n"
-        "       converge, a lost simulation, an output far from the capture, a clip without its\n"
-        "       output, answers of a benchmark that differ, a derivative that is wrong or undecided"
-        "\n"
+        "       converge, a lost simulation, an output more than 1 mm inside of something or far\n"
+        "       from the capture, a clip without its output, answers of a benchmark that differ,\n"
+        "       a derivative that is wrong or undecided\n"
         "  2    wrong usage\n"
         "  3    an input cannot be read, or cannot be used\n"
         "  4    an output cannot be written\n"
@@ -84,11 +84,14 @@ static void print_json(FILE *out)
   for (int i = 0; i < cli_score_count; i++) {
     fprintf(out, "  %-30s %s\n", cli_scores[i].key, cli_scores[i].text);
   }
-  fputs("  capture     the same for the capture\n"
+  fputs("  penetration_frame  penetration_segments    where the deepest point is; the same with\n"
+        "              other_ and self_ in front\n"
+        "  capture     the same for the capture\n"
         "  joints      one array per key: name, mpjpe_m, ...\n"
         "  frames      one array per key: frame, time_s, mpjpe_m, penetration_m, ...\n"
         "  constants   every number the metrics rest on\n"
         "  clip floor body mapping    what was decided about the capture\n"
+        "  scene other                what was in the way\n"
         "and of correct alone:\n"
         "  residual_force_rms_N  residual_force_over_weight\n"
         "  residual_force_ratio  residual_force_ratio_peak  residual_moment_ratio\n"

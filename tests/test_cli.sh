@@ -363,12 +363,16 @@ run 0 correct "$data/walker.bvh" -o out/gym.bvh --method sdf --scene gym.json --
 claim "the report counts shapes" test "$("$json_get" out/gym.json scene.shape_count)" = 9
 claim "soft ones" test "$("$json_get" out/gym.json scene.soft_count)" = 3
 claim "and moving ones" test "$("$json_get" out/gym.json scene.moving_count)" = 1
+printf '{"floor": {"soft": {"thickness_m": 0.03}}}' >soft.json
+run 0 correct "$data/walker.bvh" -o out/soft.bvh --method sdf --scene soft.json --json out/soft.json --quiet
 claim "the capture is 30 mm less deep in the core" sh -c \
-  'awk -v a="$("$0" out/hard.json capture.penetration_max_m)" -v b="$("$0" out/gym.json capture.penetration_max_m)" \
+  'awk -v a="$("$0" out/hard.json capture.penetration_max_m)" -v b="$("$0" out/soft.json capture.penetration_max_m)" \
    "BEGIN {d = a - b - 0.03; exit !(d < 1e-9 && d > -1e-9)}"' "$json_get"
+claim "the ball that flies at the walker meets a leg at the end" sh -c \
+  'awk -v f="$("$0" out/gym.json capture.penetration_frame)" -v a="$("$0" out/soft.json capture.penetration_max_m)" \
+   -v b="$("$0" out/gym.json capture.penetration_max_m)" "BEGIN {exit !(f > 40 && b > a + 0.01)}"' "$json_get"
 # a wall through the walker: the same box as a file and as a mesh say the same
 printf '{"shapes": [{"type": "box", "center_m": [0.9, 1, 0], "size_m": [1.4, 2, 4]}]}' >wall.json
-printf '{"floor": {"soft": {"thickness_m": 0.03}}}' >soft.json
 printf 'v 0.2 0 -2\nv 1.6 0 -2\nv 1.6 2 -2\nv 0.2 2 -2\nv 0.2 0 2\nv 1.6 0 2\nv 1.6 2 2\nv 0.2 2 2\n%s' \
   'f 4 3 2 1
 f 5 6 7 8
@@ -490,6 +494,77 @@ claim "--self: in the table" grep -q "^  self_penetration_max_m " stdout.txt
 run 0 correct "$data/walker.bvh" -o out/self.bvh --method sdf
 claim "without --self: not in the table" test -z "$(grep self_ stdout.txt)"
 run 2 correct "$data/walker.bvh" -o beside.bvh --with beside.bvh
+
+# ---- what is left inside of something --------------------------------------------------------------
+
+# four frames in a cell too small for two, the other 20 cm lower: nothing can be kept out of everything
+awk '/^Frames:/ {print "Frames: 4"; next} /^Frame Time/ {print; data = 1; next}
+  !data {print} data && n++ < 4 {print}' "$data/walker.bvh" >four.bvh
+awk '/^Frame Time/ {print; data = 1; next} data && NF > 3 {$2 -= 20} {print}' four.bvh >lower.bvh
+printf '{"shapes": [{"type": "plane", "point_m": [0, 0.4, 0], "normal": [0, -1, 0]},
+  {"type": "plane", "point_m": [-0.2, 0, 0], "normal": [1, 0, 0]},
+  {"type": "plane", "point_m": [0.2, 0, 0], "normal": [-1, 0, 0]},
+  {"type": "plane", "point_m": [0, 0, -0.2], "normal": [0, 0, 1]},
+  {"type": "plane", "point_m": [0, 0, 0.2], "normal": [0, 0, -1]}]}' >cell.json
+run 1 correct four.bvh -o out/left.bvh --method sdf --scene cell.json --with lower.bvh --self \
+  --json out/left.json --quiet
+claim "the file is written all the same" test -s out/left.bvh
+left() { # KEY WHERE: what is said of it is what the report says
+  claim "$1: the report says how deep" awk "BEGIN {exit !($("$json_get" out/left.json "$1_max_m") > 1e-3)}"
+  frame=$("$json_get" out/left.json "$1_frame")
+  claim "$1: the frame with that depth" test \
+    "$("$json_get" out/left.json "frames.$1_m.$frame")" = "$("$json_get" out/left.json "$1_max_m")"
+  parts=$("$json_get" out/left.json "$1_segments" | tr -d '[]" ' | sed 's/,/ in /')
+  depth=$("$json_get" out/left.json "$1_max_m" | awk '{printf "%.1f", 1e3 * $1}')
+  claim "$1: told with depth, frame and body parts" grep -q \
+    "four.bvh: the output is inside $2 by more than 1 mm in frame.*, at most by $depth mm in frame $frame ($parts); out/left.bvh was written" \
+    stderr.txt
+}
+left penetration "the scene"
+left other_penetration "the other athlete"
+left self_penetration "itself"
+claim "of two bodies two segments" test "$("$json_get" out/left.json other_penetration_segments.1 || echo none)" != none
+claim "in the scene one" test "$("$json_get" out/left.json penetration_segments.1 || echo none)" = none
+run 0 eval four.bvh out/left.bvh --scene cell.json --with lower.bvh --self
+claim "eval tells where, too" grep -Eq "^  output's self_penetration_max_m: [0-9.]+ mm in frame [0-3] \([a-z0-9_]+ in [a-z0-9_]+\)$" stdout.txt
+
+# a gap of 16 cm, narrower than a chest: nothing else is wrong with the result
+printf '{"shapes": [{"type": "plane", "point_m": [0, 0, -0.08], "normal": [0, 0, 1]},
+  {"type": "plane", "point_m": [0, 0, 0.08], "normal": [0, 0, -1]}]}' >gap.json
+run 1 correct four.bvh -o out/left.bvh --method sdf --scene gap.json
+says "inside the scene by more than 1 mm in frames 0-3, at most by 2[0-9]\.[0-9] mm in frame [0-3] \(spine3\)"
+
+# eval measures against what a clip was corrected for
+run 0 correct "$data/walker.bvh" -o out/all.bvh --method sdf --scene gym.json --with beside.bvh --self --json out/all.json --quiet
+run 0 eval "$data/walker.bvh" out/all.bvh --scene gym.json --with beside.bvh --self --json out/eval.json --quiet
+for key in penetration_max_m penetration_mean_m slip_m momentum_balance other_penetration_max_m self_penetration_max_m \
+  frames.self_penetration_m.20 scene.shape_count scene.moving_count other.clip.frame_count; do
+  claim "eval with everything in the way agrees on $key" \
+    test "$("$json_get" out/eval.json $key)" = "$("$json_get" out/all.json $key)"
+done
+for key in penetration_max_m penetration_mean_m penetration_frame penetration_segments.0 other_frames \
+  other_penetration_mean_m other_penetration_segments.1 self_penetration_mean_m self_penetration_frame self_penetration_segments.1; do
+  claim "eval agrees on the capture's $key" \
+    test "$("$json_get" out/eval.json capture.$key)" = "$("$json_get" out/all.json capture.$key)"
+done
+run 0 eval "$data/walker.bvh" "$data/walker.bvh" --json out/eval.json
+claim "eval: nobody in the way unless asked" test "$("$json_get" out/eval.json self_penetration_max_m)" = null
+claim "eval: and no array of it" test "$("$json_get" out/eval.json frames.self_penetration_m || echo none)" = none
+claim "eval: the floor alone" test "$("$json_get" out/eval.json scene.shape_count)" = 1
+run 0 eval "$data/walker.bvh" out/all.bvh --scene pit.obj --scene-unit 0.5
+claim "eval: a mesh in the table" grep -Eq "^  scene +floor and 1 shape, 0 soft, 0 moving$" stdout.txt
+run 0 eval "$data/walker.bvh" out/all.bvh --with brief.bvh
+says "brief.bvh ends at 0.158 s"
+run 3 eval "$data/walker.bvh" out/all.bvh --with no_such.bvh
+silent
+run 3 eval "$data/walker.bvh" out/all.bvh --scene no_such.obj
+says "no_such\.obj"
+for file in gym.json pit.obj beside.bvh; do
+  cp $file kept
+  run 2 eval "$data/walker.bvh" out/all.bvh --scene gym.json --with beside.bvh --json $file
+  says "$file' is read by this run"
+  claim "$file is as it was" cmp kept $file
+done
 
 keys="mpjpe_m penetration_events penetration_max_m angular_momentum_change angular_momentum_drift
   slip_m slip_m_per_s validity residual_force_ratio residual_moment_ratio momentum_balance
@@ -751,6 +826,11 @@ cp "$walk" corrected/two.bvh
 run 0 eval captures corrected
 claim "eval: names of columns are whole" grep -q " angular_momentum_change " stdout.txt
 claim "folders: a row for each and the mean" test "$(grep -cE '^(one|two|mean)' stdout.txt)" -eq 3
+run 0 eval captures corrected --self --scene wall.json --json folders.json
+claim "folders: what is in the way of all" test "$("$json_get" folders.json clips.1.scene.shape_count)" = 2
+claim "folders: the mean depth in itself" "$json_get" folders.json self_penetration_mean_m
+run 2 eval captures corrected --with beside.bvh
+says "with has no meaning with two folders"
 mkdir -p nothing
 run 3 eval nothing corrected
 says "no clip"
