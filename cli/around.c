@@ -120,16 +120,18 @@ int cli_around_found(const cli_around *around, const char *paths[CLI_MAX_AROUND_
 
 /* ---- telling ----------------------------------------------------------------------------------- */
 
-/* of all shapes, the floor among them */
+/* of all shapes, the floor among them; a combination is one */
 typedef struct scene_counts {
   int shapes, soft, moving;
 } scene_counts;
 
 static scene_counts count_scene(const kg_scene *scene)
 {
-  scene_counts counts = {scene->shape_count, 0, 0};
+  scene_counts counts = {0, 0, 0};
   for (int i = 0; i < scene->shape_count; i++) {
     const kg_sdf_shape *shape = &scene->shapes[i];
+    if (shape->part) continue;
+    counts.shapes++;
     const kg_place *place = shape->place > 0 ? &scene->places[shape->place - 1] : NULL;
     counts.soft += shape->ground > 0;
     counts.moving += place && kg_place_is_moving(place);

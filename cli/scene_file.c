@@ -19,6 +19,7 @@ static const double LARGEST_M = 1e4, LARGEST_RATE = 1e3, LARGEST_STIFFNESS = 1e9
 enum { LARGEST_FILE = 1 << 22 };
 /* of a scene beside the floor, which is a shape and may be soft */
 enum { MOST_SHAPES = KG_SCENE_MAX_SHAPES - 1, MOST_GROUNDS = KG_SCENE_MAX_GROUNDS - 1 };
+enum { MOST_NESTED = 8 }; /* combinations in combinations */
 
 /* A value and where it stands in the text. */
 typedef struct node {
@@ -242,8 +243,17 @@ static const type types[] = {
   {"cylinder", KG_SHAPE_CYLINDER, {"from_m", "to_m", "radius_m"}},
   {"plane", KG_SHAPE_PLANE, {"point_m", "normal"}},
   {"mesh", KG_SHAPE_MESH, {"file", "unit_m", "at_m", "rotation_deg"}},
+  {"union", KG_SHAPE_UNION, {"of", "at_m", "rotation_deg"}},
+  {"intersection", KG_SHAPE_INTERSECTION, {"of", "at_m", "rotation_deg"}},
+  {"difference", KG_SHAPE_DIFFERENCE, {"of", "at_m", "rotation_deg"}},
+  {"smooth_union", KG_SHAPE_SMOOTH_UNION, {"of", "radius_m", "at_m", "rotation_deg"}},
 };
 enum { TYPES = KG_COUNT_OF(types) };
+
+static bool is_combination(const kg_sdf_shape *shape)
+{
+  return shape->kind >= KG_SHAPE_UNION;
+}
 
 static const type *read_type(file *f, node of)
 {
@@ -253,7 +263,8 @@ static const type *read_type(file *f, node of)
     if (name && strcmp(name, types[k].name) == 0) return &types[k];
   }
   const char *nearest = name ? cli_nearest(name, names, TYPES) : NULL;
-  char text[160] = "box, mat, sphere, ellipsoid, capsule, cylinder, plane or mesh";
+  char text[160] = "box, mat, sphere, ellipsoid, capsule, cylinder, plane, mesh, union, "
+                   "intersection, difference or smooth_union";
   if (nearest) {
     snprintf(text, sizeof text, "a type of shape; did you mean \"%s\"?", nearest);
   }
@@ -357,6 +368,13 @@ static bool read_geometry(file *f, node of, kg_sdf_shape *s, kg_vec3 *at, kg_qua
     case KG_SHAPE_MESH:
       return read_vector(f, of, "at_m", false, -far, far, at) && read_rotation(f, of, turn) &&
              read_mesh(f, of, s);
+    case KG_SHAPE_SMOOTH_UNION:
+      if (!read_number(f, of, "radius_m", true, tiny, far, &s->radius)) return false;
+      /* fall through */
+    case KG_SHAPE_UNION:
+    case KG_SHAPE_INTERSECTION:
+    case KG_SHAPE_DIFFERENCE:
+      return read_vector(f, of, "at_m", false, -far, far, at) && read_rotation(f, of, turn);
     default: /* capsule, cylinder */
       if (!read_vector(f, of, "from_m", true, -far, far, &a) ||
           !read_vector(f, of, "to_m", true, -far, far, &b) ||
@@ -430,7 +448,8 @@ static bool read_cover(file *f, node of, kg_sdf_shape *s, bool is_mat)
   return true;
 }
 
-/* Puts the shape where it is: into a place when it moves, or must be turned as a whole. */
+/* Puts the shape where it is: into a place when it moves, or must be turned as a whole. Parts of a
+ * combination move with it alone. */
 static bool put(file *f, node of, kg_sdf_shape *s, kg_vec3 at, kg_quat turn)
 {
   kg_scene *scene = &f->scene->scene;
@@ -440,10 +459,11 @@ static bool put(file *f, node of, kg_sdf_shape *s, kg_vec3 at, kg_quat turn)
       !read_vector(f, of, "spin_rad_per_s", false, -LARGEST_RATE, LARGEST_RATE, &place.spin)) {
     return false;
   }
-  if (kg_place_is_moving(&place) || s->kind == KG_SHAPE_MESH) {
+  if (kg_place_is_moving(&place) || s->kind == KG_SHAPE_MESH || is_combination(s)) {
     s->place = kg_scene_add_place(scene, &place);
     if (s->place == 0) {
-      return fail_limit(f, of.text, KG_SCENE_MAX_PLACES, "shapes that move or are meshes");
+      return fail_limit(f, of.text, KG_SCENE_MAX_PLACES,
+                        "shapes that move, are meshes or combinations");
     }
   } else {
     s->a = kg_vec3_add(s->a, at);
@@ -452,21 +472,45 @@ static bool put(file *f, node of, kg_sdf_shape *s, kg_vec3 at, kg_quat turn)
   return add_shape(f, of.text, s);
 }
 
-static bool read_shape(file *f, node of)
+static bool read_shape(file *f, node of, int depth);
+
+/* Adds the parts; two at a time are joined until *s has two children. */
+static bool read_parts(file *f, node of, int depth, kg_sdf_shape *s)
+{
+  const node parts = member(of, "of");
+  const size_t count = json_array_size(parts.json);
+  if (count < 2) return fail_at(f, of, "of", "an array of two shapes or more");
+  if (depth == MOST_NESTED) return fail_at(f, of, "of", "combinations no more than 8 deep");
+  for (size_t i = 0; i < count; i++) {
+    if (!read_shape(f, item(parts, i), depth + 1)) return false;
+    s->children[i > 0] = f->scene->scene.shape_count - 1;
+    if (i == 0 || i + 1 == count) continue;
+    if (!add_shape(f, of.text, s)) return false;
+    s->children[0] = f->scene->scene.shape_count - 1;
+  }
+  return true;
+}
+
+/* depth: 0, or in how many combinations the shape is a part. Then it has no motion and no cover of its
+ * own, and a combination has no cover: how thick it is where is not known. */
+static bool read_shape(file *f, node of, int depth)
 {
   if (!json_is_object(of.json)) return fail(f, of.text, "expected an object with a \"type\"");
   const type *kind = read_type(f, of);
   if (!kind) return false;
-  const char *names[4 + MOST_OWN_MEMBERS] = {"type", "soft", "velocity_m_per_s", "spin_rad_per_s"};
-  int count = 4;
+  const bool is_mat = strcmp(kind->name, "mat") == 0;
+  if (is_mat && depth > 0) return fail_at(f, of, "type", "a rigid shape: parts are not soft");
+  kg_sdf_shape shape = {.kind = kind->kind};
+  const char *names[4 + MOST_OWN_MEMBERS] = {"type", "velocity_m_per_s", "spin_rad_per_s", "soft"};
+  int count = depth > 0 ? 1 : is_combination(&shape) ? 3 : 4;
   for (int k = 0; k < MOST_OWN_MEMBERS && kind->members[k]; k++) {
     names[count++] = kind->members[k];
   }
-  kg_sdf_shape shape = {.kind = kind->kind};
   kg_vec3 at;
   kg_quat turn;
   return check_members(f, of, names, count) && read_geometry(f, of, &shape, &at, &turn) &&
-         read_cover(f, of, &shape, strcmp(kind->name, "mat") == 0) && put(f, of, &shape, at, turn);
+         (!is_combination(&shape) || read_parts(f, of, depth, &shape)) &&
+         read_cover(f, of, &shape, is_mat) && put(f, of, &shape, at, turn);
 }
 
 static bool fail_floor(file *f, const char *at)
@@ -499,7 +543,7 @@ static bool read_root(file *f)
   }
   if (shapes.json && !json_is_array(shapes.json)) return fail_at(f, root, "shapes", "an array");
   for (size_t i = 0; i < json_array_size(shapes.json); i++) {
-    if (!read_shape(f, item(shapes, i))) return false;
+    if (!read_shape(f, item(shapes, i), 0)) return false;
   }
   return true;
 }
@@ -580,7 +624,7 @@ void cli_scene_release(cli_scene *scene)
 void cli_print_scene_types(FILE *out)
 {
   for (int k = 0; k < TYPES; k++) {
-    fprintf(out, "  %-10s", types[k].name);
+    fprintf(out, "  %-12s", types[k].name);
     for (int m = 0; m < MOST_OWN_MEMBERS && types[k].members[m]; m++) {
       fprintf(out, "%s%s", m > 0 ? ", " : " ", types[k].members[m]);
     }
@@ -590,6 +634,8 @@ void cli_print_scene_types(FILE *out)
 
 void cli_print_scene_limits(FILE *out)
 {
-  fprintf(out, "At most %d shapes, %d of them moving or meshes of a description, %d with soft.\n",
+  fprintf(out,
+          "At most %d shapes, %d of them moving, meshes of a description or combinations, %d with\n"
+          "soft. A combination of n parts counts as n - 1 beside them.\n",
           MOST_SHAPES, KG_SCENE_MAX_PLACES, MOST_GROUNDS);
 }

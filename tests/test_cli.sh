@@ -388,6 +388,22 @@ for key in capture.penetration_max_m capture.penetration_events; do
     'awk -v a="$("$0" out/w1.json $1)" -v b="$("$0" out/w2.json $1)" -v c="$("$0" out/hard.json $1)" \
      "BEGIN {exit !(a - b < 1e-6 && b - a < 1e-6 && a > c)}"' "$json_get" "$key"
 done
+# the same wall once more: a longer one without its end, and the end of a longer one
+printf '{"shapes": [{"type": "difference", "at_m": [0.9, 1, 0], "of": [
+  {"type": "box", "center_m": [0.5, 0, 0], "size_m": [2.4, 2, 4]},
+  {"type": "plane", "point_m": [0.7, 0, 0], "normal": [-1, 0, 0]}]}]}' >cut.json
+printf '{"shapes": [{"type": "intersection", "of": [
+  {"type": "box", "center_m": [0.9, 1, 0], "size_m": [1.4, 2, 9]},
+  {"type": "box", "center_m": [0.4, 1, 0], "size_m": [2.4, 2, 4]}, {"type": "plane", "point_m": [0.2, 0, 0], "normal": [-1, 0, 0]}]}]}' >both.json
+for file in cut both; do
+  run 0 correct "$data/walker.bvh" -o out/w3.bvh --method sdf --scene $file.json --json out/w3.json --quiet
+  claim "$file.json is one shape" test "$("$json_get" out/w3.json scene.shape_count)" = 2
+  for key in capture.penetration_max_m capture.penetration_events; do
+    claim "$file.json is the wall: $key" sh -c \
+      'awk -v a="$("$0" out/w1.json $1)" -v b="$("$0" out/w3.json $1)" "BEGIN {exit !(a - b < 1e-6 && b - a < 1e-6)}"' \
+      "$json_get" "$key"
+  done
+done
 # LINE:COLUMN, the message, the file
 while IFS='|' read -r place message text; do
   printf '%b' "$text" >wrong.json
