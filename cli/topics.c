@@ -39,8 +39,8 @@ static void print_scenes(FILE *out)
   fputs(
     "  size_m are whole lengths; rotation_deg is an axis times the angle about it, in degrees.\n"
     "  A mesh file is looked for beside the description.\n"
-    "  of is an array of shapes, the parts of a combination; of a difference the first without the\n"
-    "  others. Parts have no motion and no soft of their own, a combination has no soft.\n"
+    "  of is an array of shapes, the parts of a combination; a difference is the first part less\n"
+    "  the others. Parts have no motion and no soft of their own, a combination has no soft.\n"
     "Every shape may have\n"
     "  velocity_m_per_s, spin_rad_per_s   [x, y, z]: it moves on from the first motion frame\n"
     "  soft   a layer inwards from what is drawn, rigid below (a mat needs it):\n"
