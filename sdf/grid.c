@@ -108,10 +108,12 @@ static double largest_error(interval sure, double distance)
 
 static bool interpolated(const kg_grid *grid, kg_vec3 x, kg_grid_value *out)
 {
-  bool inside;
+  int unknown;
   *out = (kg_grid_value){.is_exact = false};
-  grid->kernels->interpolate(&grid->view, 1, &x, &out->distance, &out->gradient, &inside);
-  if (!inside) return false;
+  if (grid->kernels->interpolate(&grid->view, 1, &x, &out->distance, &out->gradient, &unknown) >
+      0) {
+    return false;
+  }
   const spot s = find_spot(&grid->view, x);
   out->error = largest_error(bracket(grid, &s, x), out->distance);
   return true;
@@ -161,17 +163,17 @@ kg_grid_value kg_grid_distance(const kg_grid *grid, kg_vec3 x)
 void kg_grid_distance_many(const kg_grid *grid, int count, const kg_vec3 *x, double *distance,
                            kg_vec3 *gradient)
 {
-  enum { SHARE = 256 };
-  bool inside[SHARE];
+  enum { SHARE = 1024 };
+  int unknown[SHARE];
   for (int first = 0; first < count; first += SHARE) {
     const int n = count - first < SHARE ? count - first : SHARE;
-    grid->kernels->interpolate(&grid->view, n, x + first, distance + first, gradient + first,
-                               inside);
-    for (int i = 0; i < n; i++) {
-      if (inside[i]) continue;
-      const kg_grid_value value = beside(grid, x[first + i]);
-      distance[first + i] = value.distance;
-      gradient[first + i] = value.gradient;
+    const int unknown_count = grid->kernels->interpolate(
+      &grid->view, n, x + first, distance + first, gradient + first, unknown);
+    for (int i = 0; i < unknown_count; i++) {
+      const int at = first + unknown[i];
+      const kg_grid_value value = beside(grid, x[at]);
+      distance[at] = value.distance;
+      gradient[at] = value.gradient;
     }
   }
 }

@@ -94,8 +94,10 @@ int grid_choose_blocks(kg_grid *grid)
 kg_status grid_allocate_nodes(kg_grid *grid, kg_error *error)
 {
   const size_t stride = GRID_BLOCK_STRIDE * 4 * sizeof(float);
+  const size_t packed_stride = GRID_BLOCK_STRIDE * 2 * sizeof(int32_t);
   const size_t bytes = (size_t)grid->view.count * stride;
-  char *memory = kg_arena_take(&grid->arena, bytes + stride, 64);
+  const size_t packed_bytes = (size_t)grid->view.count * packed_stride;
+  char *memory = kg_arena_take(&grid->arena, bytes + packed_bytes + stride, 64);
   if (!memory) {
     return kg_fail(error, KG_ERR_NO_MEMORY, "", 0, 0, "no memory for %d blocks of a grid",
                    grid->view.count);
@@ -103,7 +105,38 @@ kg_status grid_allocate_nodes(kg_grid *grid, kg_error *error)
   memory += -(uintptr_t)memory % stride; /* no block on two pages */
   memset(memory, 0, bytes);
   grid->view.node = (const float *)(const void *)memory;
+  grid->view.packed = (const int32_t *)(const void *)(memory + bytes);
   return KG_OK;
+}
+
+/* See GRID_PACKED. upper, lower: in [-1, 1] */
+static int32_t packed_word(double upper, double lower)
+{
+  const int low = (int)lrint(32767.0 * lower) & 0xffff;
+  const int high = (int)floor((GRID_PACKED * upper - low) / 65536.0 + 0.5);
+  return high * 65536 + low;
+}
+
+void grid_pack_nodes(kg_grid *grid)
+{
+  grid_view *g = &grid->view;
+  const size_t count = (size_t)g->count * GRID_BLOCK_STRIDE;
+  float largest = (float)g->spacing, steepest = 1.0f;
+  for (size_t i = 0; i < count; i++) {
+    const float *v = g->node + 4 * i;
+    const float slope = fmaxf(fabsf(v[1]), fmaxf(fabsf(v[2]), fabsf(v[3])));
+    largest = fmaxf(largest, fabsf(v[0]));
+    steepest = fmaxf(steepest, slope);
+  }
+  g->largest = (double)largest;
+  g->steepest = (double)steepest;
+  const double of_value = 1.0 / g->largest, of_slope = 1.0 / g->steepest;
+  int32_t *packed = (int32_t *)(uintptr_t)g->packed;
+  for (size_t i = 0; i < count; i++) {
+    const float *v = g->node + 4 * i;
+    packed[2 * i] = packed_word(of_value * (double)v[0], of_slope * (double)v[1]);
+    packed[2 * i + 1] = packed_word(of_slope * (double)v[2], of_slope * (double)v[3]);
+  }
 }
 
 /* number of the block, -1 without nodes or beyond the grid */
@@ -574,7 +607,9 @@ kg_status kg_grid_create(kg_grid **grid, const kg_grid_def *def, kg_error *error
     }
   }
   kg_arena_release(&scratch);
-  if (status != KG_OK) {
+  if (status == KG_OK) {
+    grid_pack_nodes(built);
+  } else {
     kg_grid_destroy(built);
     built = NULL;
   }

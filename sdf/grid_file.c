@@ -436,7 +436,9 @@ static kg_status read_grid(reader *r, kg_grid **grid, const kg_grid_source *sour
     (*grid)->source = *source;
     status = check_source(r, *grid);
   }
-  if (status != KG_OK) {
+  if (status == KG_OK) {
+    grid_pack_nodes(*grid);
+  } else {
     kg_grid_destroy(*grid);
     *grid = NULL;
   }

@@ -45,6 +45,8 @@ int grid_choose_blocks(kg_grid *grid);
 /* Memory for their nodes, all zero. */
 kg_status grid_allocate_nodes(kg_grid *grid, kg_error *error);
 float *grid_nodes(kg_grid *grid);
+/* The nodes are set: packs them. */
+void grid_pack_nodes(kg_grid *grid);
 kg_vec3 grid_place(const grid_view *view, int i, int j, int k);
 /* of a block; of one that stands out of the box, the nearest point of the box */
 kg_vec3 grid_center_place(const grid_view *view, int i, int j, int k);

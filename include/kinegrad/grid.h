@@ -2,7 +2,9 @@
  *
  * Nodes near to the surface hold value and gradient of the field, floats; between them a C1 interpolant
  * with its exact gradient. They come in blocks of 4 x 4 x 4 cells: every point of the box within two
- * spacings of the surface is in a block with nodes. The other blocks hold the field at their center,
+ * spacings of the surface is in a block with nodes. The interpolant is that of the nodes rounded to 16
+ * bits: values to 1.4e-4 of the spacing, gradients to 1.6e-5. Bounds and files have the nodes themselves.
+ * The other blocks hold the field at their center,
  * which is enough for bounds; there, as outside of the box, distances are asked of the source. A grid is never the last word on contact: its error near the surface is about a
  * hundredth of the spacing on smooth parts and grows to a third of it at sharp edges. Ask
  * kg_grid_lower_bound or kg_grid_distance_within, which are certain, and the field itself where it
@@ -51,7 +53,7 @@ KG_API kg_grid_def kg_grid_mesh_def(const kg_mesh *mesh, int nodes);
 KG_API kg_grid_def kg_grid_field_def(kg_sdf_fn *field, void *user, kg_vec3 lo, kg_vec3 hi,
                                      int nodes);
 
-/* 2 KB a block near to the surface, 20 bytes every other; while building from a mesh 150 a triangle.
+/* 3 KB a block near to the surface, 20 bytes every other; while building from a mesh 150 a triangle.
  * Of a mesh every value is the distance to a triangle that is the nearest one but for 1e-6 of
  * the box's diagonal, in double; of a field what it returns.
  * KG_ERR_UNDEFINED: the field is not finite at a node or center. KG_ERR_UNSUPPORTED: n of

@@ -9,158 +9,345 @@
  *   f = sum over the eight nodes of  v ABC + g_x aBC + g_y AbC + g_z ABc
  *
  * (B, b along y, C, c along z). Neighbouring cells share values and slopes on their common face: f is
- * C1. A node's four numbers lie together, and so do the nodes at both ends of an edge along x. */
+ * C1. Nodes are read packed, eight bytes each (sdf/kernels/grid.h): random points wait for memory. */
 #include "sdf/kernels/grid.h"
 
 #include <math.h>
 #include <string.h>
 
-#if defined(__AVX512F__)
-#include <immintrin.h>
-#endif
+#include "sdf/kernels/lanes.h"
 
 #define KG_PASTE_(a, b) a##b
 #define KG_PASTE(a, b) KG_PASTE_(a, b)
 
 /* ---- interpolation ----------------------------------------------------------------------------- */
 
-typedef float v4 __attribute__((vector_size(16)));
-typedef float v8 __attribute__((vector_size(32)));
-typedef float v16 __attribute__((vector_size(64)));
+/* Points are answered LANES at a time, one in each lane. Lanes do not know of each other: an answer
+ * does not depend on what is asked with it. */
+#if defined(__AVX512F__)
+enum { LANES = 16, AHEAD = 2 };
+#else
+enum { LANES = FLOATS, AHEAD = 4 };
+#endif
 
-enum { AHEAD = 16 };
+typedef float numbers __attribute__((vector_size(4 * LANES)));
+typedef int32_t words __attribute__((vector_size(4 * LANES)));
 
-typedef struct place {
-  size_t node; /* the cell's first */
-  v4 t;        /* in it; lane 3: 0 */
-} place;
+enum { ALL = (1 << LANES) - 1 };
+
+/* cells of LANES points */
+typedef struct places {
+  const int32_t *node[LANES]; /* the cell's first; of lanes that are not known the grid's */
+  float t[3][LANES];          /* in it                                                    */
+  unsigned known;             /* bit k: in the grid, in a block with nodes                */
+} places;
+
+enum { ROW = 2 * GRID_ROW, SLICE = 2 * GRID_SLICE }; /* words */
 
 /* Cells by which rounding may carry a point of the box's face outside: grid_is_fine sees to it. */
 #define FACE 1e-6
 
-/* cell and position in it along one axis; false: outside, or not a number */
-static inline bool locate(double offset, double inverse, int n, int *cell, float *t)
+typedef int32_t ints __attribute__((vector_size(4 * DOUBLES)));
+typedef float positions __attribute__((vector_size(4 * DOUBLES)));
+
+/* cell along one axis, of points that are outside the nearest one, and the position from its start */
+static inline ints locate_along(doubles x, double lo, double inverse, int n, float *t,
+                                double_mask *is_in)
 {
-  const double at = offset * inverse;
-  if (!(at >= -FACE && at <= n - 1 + FACE)) return false;
-  const int i = (int)at;
-  *cell = i < n - 1 ? i : n - 2;
-  *t = (float)(at - *cell);
-  return true;
+  const doubles zero = {0.0}, at = (x - lo) * inverse;
+  const doubles in =
+    lesser(greater(at, zero), zero + (double)(n - 2)); /* not a number: in cell 0 */
+  const ints cell = __builtin_convertvector(in, ints);
+  const doubles from = at - __builtin_convertvector(cell, doubles);
+  const positions position = __builtin_convertvector(from, positions);
+  memcpy(t, &position, sizeof position);
+  *is_in &= (from >= -FACE) & (from <= 1.0 + FACE);
+  return cell;
 }
 
-/* false: not in a block with nodes */
-static inline bool find_place(const grid_view *g, double inverse, kg_vec3 x, place *out)
+/* Lanes from `first` on, DOUBLES of them: bits of those that are in the grid; their blocks, and their
+ * nodes counted from the block's first, in words. */
+static inline unsigned locate_some(const grid_view *g, double inverse, const kg_vec3 *x, int first,
+                                   places *p, int32_t *block, int32_t *node)
 {
-  int i, j, k;
-  float t[3];
-  if (!locate(x.x - g->lo.x, inverse, g->n[0], &i, &t[0]) ||
-      !locate(x.y - g->lo.y, inverse, g->n[1], &j, &t[1]) ||
-      !locate(x.z - g->lo.z, inverse, g->n[2], &k, &t[2])) {
-    return false;
-  }
+  double_mask is_in = {0};
+  is_in = ~is_in;
+  doubles u, v, w;
+  from_rows(&x[first].x, &u, &v, &w);
+  const ints i = locate_along(u, g->lo.x, inverse, g->n[0], &p->t[0][first], &is_in);
+  const ints j = locate_along(v, g->lo.y, inverse, g->n[1], &p->t[1][first], &is_in);
+  const ints k = locate_along(w, g->lo.z, inverse, g->n[2], &p->t[2][first], &is_in);
   const int mask = GRID_SIDE - 1; /* no index is negative, which / and % would allow for */
-  const int block = g->block[grid_block_at(g, i >> GRID_SHIFT, j >> GRID_SHIFT, k >> GRID_SHIFT)];
-  if (block < 0) return false;
-  out->node = grid_node_at(block, i & mask, j & mask, k & mask);
-  out->t = (v4){t[0], t[1], t[2], 0.0f};
-  return true;
+  const ints in_block = 2 * ((k & mask) * GRID_SLICE + (j & mask) * GRID_ROW + (i & mask));
+  const ints of =
+    ((k >> GRID_SHIFT) * g->blocks[1] + (j >> GRID_SHIFT)) * g->blocks[0] + (i >> GRID_SHIFT);
+  memcpy(block + first, &of, sizeof of);
+  memcpy(node + first, &in_block, sizeof in_block);
+  return double_bits(is_in) << first;
 }
 
-static inline v8 load8(const float *p)
+static inline void locate(const grid_view *g, double inverse, const kg_vec3 *x, places *p)
 {
-  v8 out;
+  int32_t block[LANES], node[LANES];
+  unsigned is_in = 0;
+  for (int first = 0; first < LANES; first += DOUBLES) {
+    is_in |= locate_some(g, inverse, x, first, p, block, node);
+  }
+  p->known = is_in;
+  for (int k = 0; k < LANES; k++) {
+    const int number = g->block[block[k]];
+    const int32_t *at = g->packed;
+    if (number >= 0) {
+      at += (size_t)number * (2 * GRID_BLOCK_STRIDE) + (size_t)node[k];
+    } else {
+      p->known &= ~(1u << k);
+    }
+    p->node[k] = at;
+    __builtin_prefetch(at); /* both rows of a slice are 56 bytes: two lines at most */
+    __builtin_prefetch(at + ROW + 3);
+    __builtin_prefetch(at + SLICE);
+    __builtin_prefetch(at + SLICE + ROW + 3);
+  }
+}
+
+/* Weights along an axis, h = 1. Of the values A_0 = 1 - A_1: only their difference counts. */
+typedef struct weights {
+  numbers A1, a0, a1, dA1, da0, da1;
+} weights;
+
+/* What depends on the grid only: the units of packed slopes times a spacing in those of packed values;
+ * what makes m of the interpolant, and a gradient of its derivatives. */
+typedef struct units {
+  float slope;
+  double value, gradient;
+} units;
+
+static inline numbers load(const float *p)
+{
+  numbers out;
   memcpy(&out, p, sizeof out);
   return out;
 }
 
-/* sums of the four lanes of each */
-static inline v4 sums(v4 a, v4 b, v4 c, v4 d)
+static inline weights weigh(const float *position, float slope)
 {
-  const v4 ab =
-    __builtin_shufflevector(a, b, 0, 4, 1, 5) + __builtin_shufflevector(a, b, 2, 6, 3, 7);
-  const v4 cd =
-    __builtin_shufflevector(c, d, 0, 4, 1, 5) + __builtin_shufflevector(c, d, 2, 6, 3, 7);
-  return __builtin_shufflevector(ab, cd, 0, 1, 4, 5) + __builtin_shufflevector(ab, cd, 2, 3, 6, 7);
+  const numbers t = load(position), s = 1.0f - t, ts = t * s, tt = t * t, twice = ts + ts;
+  const numbers scaled = slope * ts;
+  return (weights){.A1 = (3.0f - (t + t)) * tt,
+                   .a0 = scaled * s,
+                   .a1 = -scaled * t,
+                   .dA1 = 6.0f * ts,
+                   .da0 = slope * (s * s - twice),
+                   .da1 = slope * (tt - twice)};
 }
 
-enum { ROW = 4 * GRID_ROW, SLICE = 4 * GRID_SLICE }; /* floats */
-
-/* What depends on the spacing only. */
-typedef struct constants {
-  float h, inverse; /* m, 1/m */
-} constants;
-
-/* weights of a node's value and gradient for one end of an axis: V but s at the axis' own slope */
-#define ALONG_X(V, s) __builtin_shufflevector(V, s, 0, 4, 0, 0)
-#define ALONG_Y(V, s) __builtin_shufflevector(V, s, 1, 1, 5, 1)
-#define ALONG_Z(V, s) __builtin_shufflevector(V, s, 2, 2, 2, 6)
-
-static inline v8 pair(v4 low, v4 high)
+/* a quantity between two ends, without slopes there, and its derivative */
+static inline numbers mixed(const weights *w, numbers low, numbers high)
 {
-  return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+  return low + w->A1 * (high - low);
 }
 
-static inline v8 twice(v4 a)
+static inline numbers rise(const weights *w, numbers low, numbers high)
 {
-  return pair(a, a);
+  return w->dA1 * (high - low);
 }
 
-static inline v4 folded(v8 a)
+/* what its slopes at the ends add */
+static inline numbers bent(const weights *w, numbers low, numbers high)
 {
-  return __builtin_shufflevector(a, a, 0, 1, 2, 3) + __builtin_shufflevector(a, a, 4, 5, 6, 7);
+  return w->a0 * low + w->a1 * high;
 }
 
-/* value and gradient */
-static inline v4 interpolate_one(const grid_view *g, const place *p, const constants *c)
+static inline numbers bent_rise(const weights *w, numbers low, numbers high)
 {
-  const float *at = g->node + 4 * p->node;
-  const v8 r00 = load8(at), r10 = load8(at + ROW); /* y, z: 0 or 1 */
-  const v8 r01 = load8(at + SLICE), r11 = load8(at + SLICE + ROW);
-
-  const v4 t = p->t, s = 1.0f - t, ss = s * s, tt = t * t, ts = t * s;
-  const v4 A0 = (1.0f + 2.0f * t) * ss, A1 = (3.0f - 2.0f * t) * tt;
-  const v4 a0 = c->h * t * ss, a1 = -c->h * s * tt;
-  const v4 dA1 = 6.0f * c->inverse * ts, dA0 = -dA1;
-  const v4 da0 = ss - 2.0f * ts, da1 = tt - 2.0f * ts;
-
-  const v8 Z0 = twice(ALONG_Z(A0, a0)), Z1 = twice(ALONG_Z(A1, a1));
-  const v8 dZ0 = twice(ALONG_Z(dA0, da0)), dZ1 = twice(ALONG_Z(dA1, da1));
-  const v8 f0 = r00 * Z0 + r01 * Z1, f1 = r10 * Z0 + r11 * Z1;
-  const v8 z0 = r00 * dZ0 + r01 * dZ1, z1 = r10 * dZ0 + r11 * dZ1;
-
-  const v8 Y0 = twice(ALONG_Y(A0, a0)), Y1 = twice(ALONG_Y(A1, a1));
-  const v8 f = f0 * Y0 + f1 * Y1, fz = z0 * Y0 + z1 * Y1;
-  const v8 fy = f0 * twice(ALONG_Y(dA0, da0)) + f1 * twice(ALONG_Y(dA1, da1));
-
-  const v8 X = pair(ALONG_X(A0, a0), ALONG_X(A1, a1));
-  const v8 dX = pair(ALONG_X(dA0, da0), ALONG_X(dA1, da1));
-  return sums(folded(f * X), folded(f * dX), folded(fy * X), folded(fz * X));
+  return w->da0 * low + w->da1 * high;
 }
 
-/* Points are located and their nodes fetched AHEAD points before they are needed. */
-static void interpolate(const grid_view *g, int count, const kg_vec3 *x, double *distance,
-                        kg_vec3 *gradient, bool *inside)
+/* a row: two nodes */
+static inline ints4 load4(const int32_t *p)
 {
-  const double inverse = 1.0 / g->spacing;
-  const constants c = {(float)g->spacing, (float)inverse};
-  place ring[AHEAD];
-  for (int i = 0; i < count + AHEAD; i++) {
-    place *p = &ring[i % AHEAD];
-    if (i >= AHEAD && inside[i - AHEAD]) {
-      const v4 out = interpolate_one(g, p, &c);
-      distance[i - AHEAD] = (double)out[0];
-      gradient[i - AHEAD] = (kg_vec3){(double)out[1], (double)out[2], (double)out[3]};
-    }
-    if (i < count && (inside[i] = find_place(g, inverse, x[i], p))) {
-      const float *at = g->node + 4 * p->node;
-      __builtin_prefetch(
-        at); /* the rows at both ends in y: their first or last number, as lines go */
-      __builtin_prefetch(at + ROW + 7);
-      __builtin_prefetch(at + SLICE);
-      __builtin_prefetch(at + SLICE + ROW + 7);
+  ints4 out;
+  memcpy(&out, p, sizeof out);
+  return out;
+}
+
+#if defined(__AVX512F__)
+#define FIRSTS(a, b)                                                                               \
+  __builtin_shufflevector(a, b, 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29)
+#define LASTS(a, b)                                                                                \
+  __builtin_shufflevector(a, b, 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31)
+#define FIRST_PAIRS(a, b)                                                                          \
+  __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29)
+#define LAST_PAIRS(a, b)                                                                           \
+  __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31)
+
+/* the two nodes of a row in lanes k, k + 4, k + 8 and k + 12 */
+static inline words load_row(const places *p, int k, int offset)
+{
+  const float_mask ab = __builtin_shufflevector(
+    load4(p->node[k] + offset), load4(p->node[k + 4] + offset), 0, 1, 2, 3, 4, 5, 6, 7);
+  const float_mask cd = __builtin_shufflevector(
+    load4(p->node[k + 8] + offset), load4(p->node[k + 12] + offset), 0, 1, 2, 3, 4, 5, 6, 7);
+  return __builtin_shufflevector(ab, cd, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+}
+#elif defined(__AVX2__)
+#define FIRSTS(a, b) __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13)
+#define LASTS(a, b) __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15)
+#define FIRST_PAIRS(a, b) __builtin_shufflevector(a, b, 0, 1, 8, 9, 4, 5, 12, 13)
+#define LAST_PAIRS(a, b) __builtin_shufflevector(a, b, 2, 3, 10, 11, 6, 7, 14, 15)
+
+/* the two nodes of a row in lanes k and k + 4 */
+static inline words load_row(const places *p, int k, int offset)
+{
+  return __builtin_shufflevector(load4(p->node[k] + offset), load4(p->node[k + 4] + offset), 0, 1,
+                                 2, 3, 4, 5, 6, 7);
+}
+#else
+#define FIRSTS(a, b) __builtin_shufflevector(a, b, 0, 4, 1, 5)
+#define LASTS(a, b) __builtin_shufflevector(a, b, 2, 6, 3, 7)
+#define FIRST_PAIRS(a, b) __builtin_shufflevector(a, b, 0, 1, 4, 5)
+#define LAST_PAIRS(a, b) __builtin_shufflevector(a, b, 2, 3, 6, 7)
+
+static inline words load_row(const places *p, int k, int offset)
+{
+  return load4(p->node[k] + offset);
+}
+#endif
+
+/* value and gradient in each lane */
+typedef struct nodes {
+  numbers f, x, y, z;
+} nodes;
+
+/* Of the upper half the lower one is a part too small to count: it was packed so. */
+static inline nodes unpacked(words first, words second)
+{
+  return (nodes){
+    __builtin_convertvector(first, numbers), __builtin_convertvector(first << 16, numbers),
+    __builtin_convertvector(second, numbers), __builtin_convertvector(second << 16, numbers)};
+}
+
+/* f, df/dy, df/dz and their derivatives along x on an edge of the cell along x */
+typedef struct edges {
+  numbers f, y, z, fx, yx, zx;
+} edges;
+
+static inline edges along_x(const places *p, const weights *w, int offset)
+{
+  const words k0 = load_row(p, 0, offset), k1 = load_row(p, 1, offset);
+  const words k2 = load_row(p, 2, offset), k3 = load_row(p, 3, offset);
+  const words low01 = FIRSTS(k0, k1), low23 = FIRSTS(k2, k3);
+  const words high01 = LASTS(k0, k1), high23 = LASTS(k2, k3);
+  const nodes a = unpacked(FIRST_PAIRS(low01, low23), LAST_PAIRS(low01, low23));
+  const nodes b = unpacked(FIRST_PAIRS(high01, high23), LAST_PAIRS(high01, high23));
+  return (edges){.f = mixed(w, a.f, b.f) + bent(w, a.x, b.x),
+                 .y = mixed(w, a.y, b.y),
+                 .z = mixed(w, a.z, b.z),
+                 .fx = rise(w, a.f, b.f) + bent_rise(w, a.x, b.x),
+                 .yx = rise(w, a.y, b.y),
+                 .zx = rise(w, a.z, b.z)};
+}
+
+/* f, df/dz and their derivatives along x and y on a face of the cell across z */
+typedef struct faces {
+  numbers f, z, fx, zx, fy, zy;
+} faces;
+
+static inline faces along_y(const places *p, const weights *wx, const weights *wy, int offset)
+{
+  const edges a = along_x(p, wx, offset), b = along_x(p, wx, offset + ROW);
+  return (faces){.f = mixed(wy, a.f, b.f) + bent(wy, a.y, b.y),
+                 .z = mixed(wy, a.z, b.z),
+                 .fx = mixed(wy, a.fx, b.fx) + bent(wy, a.yx, b.yx),
+                 .zx = mixed(wy, a.zx, b.zx),
+                 .fy = rise(wy, a.f, b.f) + bent_rise(wy, a.y, b.y),
+                 .zy = rise(wy, a.z, b.z)};
+}
+
+/* in units of packed values, a cell 1 wide */
+static inline nodes interpolate_group(const places *p, float slope)
+{
+  const weights wx = weigh(p->t[0], slope), wy = weigh(p->t[1], slope);
+  const weights wz = weigh(p->t[2], slope);
+  const faces a = along_y(p, &wx, &wy, 0), b = along_y(p, &wx, &wy, SLICE);
+  return (nodes){
+    mixed(&wz, a.f, b.f) + bent(&wz, a.z, b.z), mixed(&wz, a.fx, b.fx) + bent(&wz, a.zx, b.zx),
+    mixed(&wz, a.fy, b.fy) + bent(&wz, a.zy, b.zy), rise(&wz, a.f, b.f) + bent_rise(&wz, a.z, b.z)};
+}
+
+/* the lanes from `first` on, DOUBLES of them */
+static inline doubles some(const numbers *a, int first, double unit)
+{
+  positions part;
+  memcpy(&part, (const float *)a + first, sizeof part);
+  return unit * __builtin_convertvector(part, doubles);
+}
+
+static inline void answer_group(const places *p, const units *u, double *distance,
+                                kg_vec3 *gradient)
+{
+  const nodes v = interpolate_group(p, u->slope);
+  for (int first = 0; first < LANES; first += DOUBLES) {
+    const doubles value = some(&v.f, first, u->value);
+    memcpy(distance + first, &value, sizeof value);
+    to_rows(some(&v.x, first, u->gradient), some(&v.y, first, u->gradient),
+            some(&v.z, first, u->gradient), &gradient[first].x);
+  }
+}
+
+/* Answers lanes that are known and lists those of the first n that are not: says how many. */
+static int answer_some(const places *p, const units *u, int first, int n, double *distance,
+                       kg_vec3 *gradient, int *unknown)
+{
+  double value[LANES];
+  kg_vec3 slope[LANES];
+  int unknown_count = 0;
+  if (p->known != 0) answer_group(p, u, value, slope);
+  for (int k = 0; k < n && k < LANES; k++) {
+    if (p->known >> k & 1) {
+      distance[first + k] = value[k];
+      gradient[first + k] = slope[k];
+    } else {
+      unknown[unknown_count++] = first + k;
     }
   }
+  return unknown_count;
+}
+
+/* the last points, fewer than there are lanes */
+static void locate_last(const grid_view *g, double inverse, int count, const kg_vec3 *x, places *p)
+{
+  kg_vec3 padded[LANES];
+  for (int k = 0; k < LANES; k++) {
+    padded[k] = k < count ? x[k] : (kg_vec3){NAN, NAN, NAN};
+  }
+  locate(g, inverse, padded, p);
+}
+
+/* Groups of points are located, and their nodes fetched, AHEAD groups before they are needed. */
+static int interpolate(const grid_view *g, int count, const kg_vec3 *x, double *distance,
+                       kg_vec3 *gradient, int *unknown)
+{
+  const double inverse = 1.0 / g->spacing, value = g->largest / GRID_PACKED;
+  const units u = {(float)(g->steepest * g->spacing / g->largest), value, value * inverse};
+  places ring[AHEAD];
+  int unknown_count = 0;
+  for (int first = -AHEAD * LANES; first < count; first += LANES) { /* to be answered */
+    places *p = &ring[(first / LANES + AHEAD) % AHEAD];
+    if (first >= 0 && p->known == ALL) {
+      answer_group(p, &u, distance + first, gradient + first);
+    } else if (first >= 0) {
+      unknown_count +=
+        answer_some(p, &u, first, count - first, distance, gradient, unknown + unknown_count);
+    }
+    const int next = first + AHEAD * LANES;
+    if (next + LANES <= count) {
+      locate(g, inverse, x + next, p);
+    } else if (next < count) {
+      locate_last(g, inverse, count - next, x + next, p);
+    }
+  }
+  return unknown_count;
 }
 
 /* ---- nearest triangles -------------------------------------------------------------------------- */
@@ -204,6 +391,8 @@ static void try_triangle(const grid_triangle *triangles, int k, grid_packet *p)
     p->distance2[i] = distance2 < p->distance2[i] ? distance2 : p->distance2[i];
   }
 }
+
+typedef float v16 __attribute__((vector_size(64)));
 
 /* the larger of each two, a > b anywhere, the largest of all */
 #if defined(__AVX512F__)

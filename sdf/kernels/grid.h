@@ -2,6 +2,8 @@
 #ifndef SDF_KERNELS_GRID_H
 #define SDF_KERNELS_GRID_H
 
+#include <stdint.h>
+
 #include "kinegrad/vec3.h"
 #include "sdf/boxes.h"
 
@@ -13,8 +15,13 @@ enum {
   GRID_ROW = GRID_SIDE + 1,
   GRID_SLICE = GRID_ROW * GRID_ROW,
   GRID_BLOCK_NODES = GRID_SLICE * GRID_ROW,
-  GRID_BLOCK_STRIDE = 128 /* nodes: 2048 bytes */
+  GRID_BLOCK_STRIDE = 128 /* nodes: 2048 bytes, packed 1024 */
 };
+
+/* A packed node is four numbers of 16 bits in two words, (value, g_x) and (g_y, g_z), the first one in
+ * the upper half: what the interpolant is read from. A word as a whole is the upper number times
+ * GRID_PACKED over the largest of its kind, to half a unit of the upper half. */
+#define GRID_PACKED 2147418112.0 /* 32767 * 65536 */
 
 /* A node, or a block's center: value and gradient of the field. All of them x first, then y, then z.
  * Nodes of a block beyond the last of the grid are zero. */
@@ -26,6 +33,9 @@ typedef struct grid_view {
   const float *center; /* (blocks[2], blocks[1], blocks[0], 4)                         */
   const int *block;    /* (blocks[2], blocks[1], blocks[0]): its place in node, or -1  */
   const float *node;   /* (count, GRID_BLOCK_STRIDE, 4), of blocks near to the surface */
+  const int32_t *packed; /* (count, GRID_BLOCK_STRIDE, 2)                              */
+  double largest;        /* m: no value in packed is larger, one spacing or more       */
+  double steepest;       /* no part of a gradient in packed is, 1 or more              */
   int count;
 } grid_view;
 
@@ -66,10 +76,10 @@ typedef struct grid_packet {
 } grid_packet;
 
 typedef struct kg_grid_kernels {
-  /* distance[i], gradient[i] of the interpolant at x[i]; false and neither outside of the grid and
-   * in blocks without nodes */
-  void (*interpolate)(const grid_view *grid, int count, const kg_vec3 *x, double *distance,
-                      kg_vec3 *gradient, bool *inside);
+  /* distance[i], gradient[i] of the interpolant at x[i], neither outside of the grid and in blocks
+   * without nodes: says how many points are there, and in unknown[] which */
+  int (*interpolate)(const grid_view *grid, int count, const kg_vec3 *x, double *distance,
+                     kg_vec3 *gradient, int *unknown);
   /* The nearest of all triangles for each node, but for rounding in floats. */
   void (*search)(const boxes *tree, const grid_box *around, const grid_triangle *triangles,
                  grid_packet *packet);
