@@ -37,6 +37,30 @@ static inline kg_vec3 kg_load3(const double *p)
   return kg_vec3_make(p[0], p[1], p[2]);
 }
 
+/* The segment that both hang from, or the one of them that the other hangs from: a parent comes before
+ * its children. */
+static inline int kg_meeting_segment(const kg_body *body, int a, int b)
+{
+  while (a != b) {
+    if (a > b) {
+      a = body->segments[a].parent;
+    } else {
+      b = body->segments[b].parent;
+    }
+  }
+  return a;
+}
+
+/* joints from a segment up to `end`, which it hangs from; -1: the world, the root's joint with the others */
+static inline int kg_joints_above(const kg_body *body, int segment, int end)
+{
+  int joints = 0;
+  for (; segment != end; segment = body->segments[segment].parent) {
+    joints++;
+  }
+  return joints;
+}
+
 static inline void kg_store3(double *p, kg_vec3 a)
 {
   p[0] = a.x;

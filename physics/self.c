@@ -7,6 +7,7 @@
 #include "kinegrad/arena.h"
 #include "kinegrad/sdf.h"
 #include "physics/near_points.h"
+#include "physics/physics.h"
 
 #include <string.h>
 
@@ -143,6 +144,29 @@ int kg_self_sample(kg_self *self, const kg_vec3 *p, const kg_mat3 *R, double lim
   return count;
 }
 
+typedef struct solid_field {
+  const kg_self *self;
+  int segment;
+} solid_field;
+
+static kg_sdf_value solid_phi(kg_vec3 y, void *user)
+{
+  const solid_field *f = user;
+  return solid_distance(f->self, f->segment, y, INFINITY);
+}
+
+kg_sdf_value kg_self_way_out(const kg_self *self, const kg_vec3 *p, const kg_mat3 *R, int segment,
+                             kg_vec3 x, kg_vec3 way)
+{
+  const kg_vec3 y = kg_mat3_mul_vec_t(R[segment], kg_vec3_sub(x, p[segment]));
+  const solid *s = &self->solids[segment];
+  solid_field field = {self, segment};
+  kg_sdf_value out = kg_sdf_way_out(solid_phi, &field, y, kg_mat3_mul_vec_t(R[segment], way),
+                                    kg_vec3_norm(kg_vec3_sub(y, s->center)) + s->radius);
+  out.normal = kg_mat3_mul_vec(R[segment], out.normal);
+  return out;
+}
+
 double kg_self_depth(kg_self *self, const kg_vec3 *p, const kg_mat3 *R, kg_self_touch *deepest)
 {
   double depth = 0.0;
@@ -157,30 +181,11 @@ double kg_self_depth(kg_self *self, const kg_vec3 *p, const kg_mat3 *R, kg_self_
 
 /* ---- pairs -------------------------------------------------------------------------------------*/
 
-static int depth_in_tree(const kg_body *body, int segment)
-{
-  int depth = 0;
-  for (; segment > 0; segment = body->segments[segment].parent) {
-    depth++;
-  }
-  return depth;
-}
-
 /* joints along the tree from one segment to another */
 static int joints_between(const kg_body *body, int a, int b)
 {
-  int joints = 0, da = depth_in_tree(body, a), db = depth_in_tree(body, b);
-  while (a != b) {
-    if (da >= db) {
-      a = body->segments[a].parent;
-      da--;
-    } else {
-      b = body->segments[b].parent;
-      db--;
-    }
-    joints++;
-  }
-  return joints;
+  const int end = kg_meeting_segment(body, a, b);
+  return kg_joints_above(body, a, end) + kg_joints_above(body, b, end);
 }
 
 static void pose_at(const kg_body *body, const double *q, kg_vec3 *p, kg_mat3 *R)
@@ -211,13 +216,22 @@ static void list_pairs(kg_self *self)
   }
 }
 
+/* Pelvis, spine, neck, head and clavicles are one column of flesh, which bending presses together. */
+static bool is_of_trunk(const kg_body *body, int segment)
+{
+  const int role = body->segments[segment].role;
+  return (role >= KG_ROLE_PELVIS && role <= KG_ROLE_HEAD) || role == KG_ROLE_L_CLAVICLE ||
+         role == KG_ROLE_R_CLAVICLE;
+}
+
 /* Pairs far enough along the tree; of these out go those in each other in the rest pose, either way. */
 static void choose_pairs(kg_self *self, const double *rest, kg_vec3 *p, kg_mat3 *R)
 {
   const int n = self->body->segment_count;
   for (int i = 0; i < n; i++) {
     for (int j = 0; j < n; j++) {
-      self->is_pair[i * n + j] = joints_between(self->body, i, j) >= KG_SELF_LEAST_JOINTS;
+      self->is_pair[i * n + j] = joints_between(self->body, i, j) >= KG_SELF_LEAST_JOINTS &&
+                                 !(is_of_trunk(self->body, i) && is_of_trunk(self->body, j));
     }
   }
   list_pairs(self);

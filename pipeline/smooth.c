@@ -6,12 +6,14 @@
  * and, where the subject's body is in its own way, the same against the segments of kinegrad/self.h.
  * W is the diagonal of the mass matrix in the first frame, light joints made heavier and the
  * root's position lighter. The second differences are why nothing
- * pops: a change is eased in and out over about tau before and after a contact.
+ * pops: a change is eased in and out over about tau before and after a contact. Limbs that overlap, of one
+ * body or of two, go to the side that pipeline/overlaps.h has chosen for all frames of the overlap.
  *
  * Linearised in D (rows g = n'J), the dual is a quadratic over y >= 0 with the operator
  *   G (A kron W)^-1 G',   A = I + tau4 D2'D2 (smoother.c),
- * and is solved by the accelerated projected gradient of [BT], which starts from the answer of the last
- * linearisation: few steps are enough. What is left,
+ * and is solved by the accelerated projected gradient of [BT] with a step for each row, which starts from
+ * the answer of the last linearisation: few steps are enough. Of all changes the one whose deepest point is
+ * least deep is kept: near corners linearisations can go round in a circle. What is left,
  * fractions of a millimetre that change faster than tau, is removed frame by frame by the correction
  * of kinegrad/correction.h, down to its tolerance.
  *
@@ -25,6 +27,7 @@
 #include "kinegrad/stage.h"
 #include "physics/near_points.h"
 #include "physics/physics.h"
+#include "pipeline/overlaps.h"
 
 #include <pthread.h>
 #include <string.h>
@@ -33,7 +36,10 @@
 enum { LINEARISATIONS = 10, DUAL_ITERATIONS = 20, MAX_THREADS = 16 };
 
 static const double EASE_TIME_S = 0.1;
-static const double NEAR_M = 0.004;     /* points nearer than this get a row        */
+static const double NEAR_M = 0.004; /* points nearer than this get a row        */
+static const double LIMB_NEAR_M =
+  0.03; /* and these of limbs, which turn: without a row a touch that one
+                                           linearisation parts is back in the next */
 static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
 static const double ROOT_SHARE =
   0.1; /* the body rises rather than folds straight legs, whose knees jerk */
@@ -60,6 +66,7 @@ typedef struct row {
   size_t first; /* of its entries in `entries`, in the order of the path */
   double scale; /* its bound times this is the distance, m^-1 kg^-1/2    */
   double bound; /* g D >= bound                                               */
+  double step;  /* of the dual                                                */
   double y, z;  /* dual variable and its extrapolation                        */
 } row;
 
@@ -70,13 +77,16 @@ typedef struct smoothing {
   kg_stage *stage;
   kg_correct_result *result;
   int T, nv;
-  double *D;   /* (T, nv) change                                              */
-  double *W;   /* (nv)                                                        */
+  double *D;                 /* (T, nv) change                                              */
+  double *best;              /* (T, nv) the change with the least depth so far     */
+  double depth, least_depth; /* of the deepest point, m */
+  double *W;                 /* (nv)                                                        */
   path *paths; /* (path_count) of segments, then of pairs of them; empty where no point can be
                       near                                                        */
   int path_count, key_count;
   kg_self *self;               /* NULL: the body is not in its own way */
   kg_self_touch *self_touches; /* (points)                             */
+  kg_overlaps *overlaps;       /* with itself and with another athlete */
   int *column_of;              /* (width) column of v; -1: padding                            */
   int *compact_of;             /* (nv) and back; -1: not among them                     */
   int width;                   /* columns that the rows have, padded to whole blocks    */
@@ -180,37 +190,38 @@ static void add_row(smoothing *s, int t, int key, path *p, double distance)
   s->entry_count += (size_t)p->count;
 }
 
-static void pass_point(smoothing *s, int t, int k, bool *low)
+static void count_depth(smoothing *s, double distance)
+{
+  s->depth = fmax(s->depth, -distance);
+}
+
+/* of the nearest shape; that of another athlete counts from farther away, and by the way of its pair */
+static bool is_near(smoothing *s, int t, int segment, kg_vec3 x, kg_scene_hint *hint,
+                    kg_sdf_value *value)
+{
+  const kg_scene *scene = kg_stage_scene(s->stage);
+  *value = kg_scene_distance_from(scene, x, hint);
+  if (value->distance >= (s->subject->other ? LIMB_NEAR_M : NEAR_M)) return false;
+  count_depth(s, value->distance);
+  const int shape = hint->shape < scene->shape_count ? hint->shape : -1;
+  if (kg_stage_other_segment(s->stage, shape) < 0) return value->distance < NEAR_M;
+  return kg_overlaps_turn_other(s->overlaps, t, segment, shape, x, value);
+}
+
+static void pass_point(smoothing *s, int t, int k)
 {
   const kg_body_point *point = &s->body->points[k];
   path *p = &s->paths[point->segment];
   const kg_vec3 x =
     kg_vec3_add(s->p[point->segment], kg_mat3_mul_vec(s->R[point->segment], point->p));
-  const kg_sdf_value value = kg_scene_distance_from(kg_stage_scene(s->stage), x, &s->hints[k]);
-  if (value.distance >= NEAR_M) {
-    return;
-  }
-  *low = *low || value.distance < 0.0;
-  if (!has_room(s, (size_t)p->count)) {
+  kg_sdf_value value;
+  if (!is_near(s, t, point->segment, x, &s->hints[k], &value) || !has_room(s, (size_t)p->count)) {
     return;
   }
   double *g = s->entries + s->entry_count;
   kg_store3(g, value.normal);
   (void)write_chain(s, g + 3, point->segment, -1, x, value.normal);
   add_row(s, t, k, p, value.distance);
-}
-
-/* the joint that both segments hang from; a parent comes before its children */
-static int meeting(const kg_body *body, int a, int b)
-{
-  while (a != b) {
-    if (a > b) {
-      a = body->segments[a].parent;
-    } else {
-      b = body->segments[b].parent;
-    }
-  }
-  return a;
 }
 
 static path *path_of_pair(const smoothing *s, int segment, int other)
@@ -223,7 +234,7 @@ static path *path_of_pair(const smoothing *s, int segment, int other)
 static void pass_self_touch(smoothing *s, int t, const kg_self_touch *touch)
 {
   const int segment = s->body->points[touch->point].segment;
-  const int end = meeting(s->body, segment, touch->segment);
+  const int end = kg_meeting_segment(s->body, segment, touch->segment);
   path *p = path_of_pair(s, segment, touch->segment);
   if (!has_room(s, (size_t)p->count)) return;
   double *g = s->entries + s->entry_count;
@@ -237,54 +248,34 @@ static void pass_self_touch(smoothing *s, int t, const kg_self_touch *touch)
   add_row(s, t, s->body->point_count + touch->point, p, touch->distance);
 }
 
-/* 1: both touches are of the same two segments; -1: with the roles exchanged; 0: of others */
-static int is_of_same_pair(const kg_body *body, const kg_self_touch *a, const kg_self_touch *b)
+static void pass_self(smoothing *s, int t)
 {
-  const int of_a = body->points[a->point].segment, of_b = body->points[b->point].segment;
-  if (of_a == of_b && a->segment == b->segment) return 1;
-  return of_a == b->segment && of_b == a->segment ? -1 : 0;
-}
-
-/* Limbs deep in each other have points on both sides of the other's axis, whose ways out are opposed:
- * those against the way of the pair's deepest point are left out, and come over to its side. */
-static bool is_against_deepest(const smoothing *s, int count, const kg_self_touch *touch)
-{
-  const kg_self_touch *deepest = touch;
+  const int count = kg_self_sample(s->self, s->p, s->R, LIMB_NEAR_M, s->self_touches);
   for (int k = 0; k < count; k++) {
-    const kg_self_touch *t = &s->self_touches[k];
-    if (t->distance < deepest->distance && is_of_same_pair(s->body, t, touch) != 0) deepest = t;
-  }
-  const int sign = is_of_same_pair(s->body, deepest, touch);
-  return sign * kg_vec3_dot(deepest->normal, touch->normal) < 0.0;
-}
-
-static void pass_self(smoothing *s, int t, bool *low)
-{
-  const int count = kg_self_sample(s->self, s->p, s->R, NEAR_M, s->self_touches);
-  for (int k = 0; k < count; k++) {
-    const kg_self_touch *touch = &s->self_touches[k];
-    *low = *low || touch->distance < 0.0;
-    if (!is_against_deepest(s, count, touch)) pass_self_touch(s, t, touch);
+    kg_self_touch touch = s->self_touches[k];
+    count_depth(s, touch.distance);
+    if (kg_overlaps_turn_self(s->overlaps, t, s->p, s->R, &touch)) pass_self_touch(s, t, &touch);
   }
 }
 
 /* Rows of the points that are near, over all frames. Bounds are for the whole change, not for its
  * increment. *low: something penetrates. False without memory. */
-static bool linearise(smoothing *s, bool *low)
+static bool linearise(smoothing *s)
 {
   s->row_count = s->entry_count = 0;
-  *low = false;
+  s->depth = 0.0;
+  const double near = s->subject->other ? LIMB_NEAR_M : NEAR_M;
   for (int t = 0; t < s->T && !kg_arena_failed(&s->row_memory); t++) {
     pose_frame(s, t);
     (void)near_points_sort(&s->near, kg_stage_scene(s->stage), s->p, s->R,
                            kg_vec3_make(0.0, 0.0, 0.0));
-    for (int b = 0; b < s->near.count && s->near.balls[b].bound < NEAR_M; b++) {
+    for (int b = 0; b < s->near.count && s->near.balls[b].bound < near; b++) {
       const segment_ball *ball = &s->near.balls[b];
       for (int k = ball->first; k < ball->first + ball->count; k++) {
-        pass_point(s, t, s->near.points[k], low);
+        pass_point(s, t, s->near.points[k]);
       }
     }
-    if (s->self) pass_self(s, t, low);
+    if (s->self) pass_self(s, t);
   }
   return !kg_arena_failed(&s->row_memory);
 }
@@ -353,11 +344,11 @@ static void normalise_rows(smoothing *s)
   }
 }
 
-/* Bound of the dual operator's largest eigenvalue: A^-1 <= 1, so that of the worst frame's block
- * G_t W^-1 G_t', which is at most its largest row sum. Rows are stored frame by frame. */
-static double operator_bound(smoothing *s)
+/* A bound of the dual operator for every row: A^-1 <= 1, so that it is at most the blocks G_t W^-1 G_t'
+ * of the frames, and these, symmetric, at most the diagonal of their row sums. Rows are stored frame by
+ * frame. */
+static void set_steps(smoothing *s)
 {
-  double largest = 1.0;
   double *probe = s->trial; /* one frame's worth of scratch */
   for (size_t first = 0; first < s->row_count;) {
     size_t end = first;
@@ -375,11 +366,10 @@ static double operator_bound(smoothing *s)
         const path *p = s->rows[k].path;
         sum += fabs(row_dot(s->entries + s->rows[k].first, p->compact, p->count, probe));
       }
-      largest = fmax(largest, sum);
+      s->rows[i].step = 1.0 / sum;
     }
     first = end;
   }
-  return largest;
 }
 
 static double *force_of(const smoothing *s, const row *r)
@@ -393,7 +383,7 @@ static void solve_dual(smoothing *s)
 {
   number_columns(s);
   normalise_rows(s);
-  const double step = 1.0 / operator_bound(s);
+  set_steps(s);
   double momentum = 1.0, change = INFINITY;
   for (size_t i = 0; i < s->row_count; i++) { /* from the last linearisation's answer */
     row *r = &s->rows[i];
@@ -407,9 +397,9 @@ static void solve_dual(smoothing *s)
     change = 0.0;
     for (size_t i = 0; i < s->row_count; i++) {
       row *r = &s->rows[i];
-      const double y = fmax(0.0, r->z + step * (r->bound - row_trial(s, r)));
-      change = fmax(change, fabs(y - r->z) / (step * r->scale));
-      against += (r->z - y) * (y - r->y);
+      const double y = fmax(0.0, r->z + r->step * (r->bound - row_trial(s, r)));
+      change = fmax(change, fabs(y - r->z) / (r->step * r->scale));
+      against += (r->z - y) * (y - r->y) / r->step;
       r->z = y + beta * (y - r->y);
       r->y = y;
     }
@@ -558,15 +548,6 @@ static void add_columns(const kg_body *body, path *p, int segment, int end)
   }
 }
 
-static int chain_length(const kg_body *body, int segment, int end)
-{
-  int length = 0;
-  for (int i = segment; i != end; i = body->segments[i].parent) {
-    length++;
-  }
-  return length;
-}
-
 /* room for `joints` joints and the root's position */
 static bool make_path(path *p, int joints, kg_arena *arena)
 {
@@ -581,9 +562,10 @@ static void make_pair_paths(smoothing *s, kg_arena *arena)
   for (int i = 0; i < body->segment_count; i++) {
     for (int j = 0; j < body->segment_count; j++) {
       if (!kg_self_is_pair(s->self, i, j)) continue;
-      const int end = meeting(body, i, j);
+      const int end = kg_meeting_segment(body, i, j);
       path *p = path_of_pair(s, i, j);
-      if (!make_path(p, chain_length(body, i, end) + chain_length(body, j, end), arena)) return;
+      if (!make_path(p, kg_joints_above(body, i, end) + kg_joints_above(body, j, end), arena))
+        return;
       add_columns(body, p, i, end);
       add_columns(body, p, j, end);
     }
@@ -601,7 +583,7 @@ static void make_paths(smoothing *s, kg_arena *arena)
   for (int b = 0; b < s->near.count && !kg_arena_failed(arena); b++) {
     const int segment = s->near.balls[b].segment;
     path *p = &s->paths[segment];
-    if (!make_path(p, chain_length(body, segment, -1), arena)) return;
+    if (!make_path(p, kg_joints_above(body, segment, -1), arena)) return;
     for (int k = 0; k < 3; k++) {
       p->column[p->count++] = k;
     }
@@ -614,6 +596,7 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
 {
   const size_t T = (size_t)s->T, nv = (size_t)s->nv;
   s->D = KG_ARENA_ARRAY(arena, double, T *nv);
+  s->best = KG_ARENA_ARRAY(arena, double, T *nv);
   s->W = KG_ARENA_ARRAY(arena, double, nv);
   s->other_start = KG_ARENA_ARRAY(arena, double, MAX_THREADS *(size_t)s->body->nq);
   s->p = KG_ARENA_ARRAY(arena, kg_vec3, s->body->segment_count);
@@ -643,6 +626,8 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
       s->W[j] = fmax(M[j * nv + j], LEAST_WEIGHT) * (j < 3 ? ROOT_SHARE : 1.0);
     }
     kg_smoother_factor(&s->smoother, NULL, pow(EASE_TIME_S / s->subject->dt, 4.0));
+    status = kg_overlaps_create(&s->overlaps, s->subject, s->self, s->stage, s->dynamics,
+                                arena->allocator);
   }
   return status;
 }
@@ -661,22 +646,29 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
                  .nv = subject->body->nv};
   kg_arena_init(&s.row_memory, arena->allocator);
   kg_status status = smoothing_create(&s, &scratch);
-  bool low = true;
-  for (int round = 0; status == KG_OK && low && round < LINEARISATIONS; round++) {
-    if (!linearise(&s, &low)) {
+  s.least_depth = INFINITY;
+  for (int round = 0; status == KG_OK && round <= LINEARISATIONS; round++) {
+    if (!linearise(&s)) {
       status = KG_ERR_NO_MEMORY;
-    } else if (low) {
-      solve_dual(&s);
-      if (def->progress &&
-          !def->progress(0.8 * (round + 1) / LINEARISATIONS, "sdf", def->progress_user)) {
-        result->interrupted = true;
-        break;
-      }
+      break;
+    }
+    if (s.depth < s.least_depth) {
+      s.least_depth = s.depth;
+      memcpy(s.best, s.D, (size_t)s.T * (size_t)s.nv * sizeof *s.D);
+    }
+    if (s.depth == 0.0 || round == LINEARISATIONS) break;
+    solve_dual(&s);
+    if (def->progress &&
+        !def->progress(0.8 * (round + 1) / LINEARISATIONS, "sdf", def->progress_user)) {
+      result->interrupted = true;
+      break;
     }
   }
+  if (status == KG_OK) memcpy(s.D, s.best, (size_t)s.T * (size_t)s.nv * sizeof *s.D);
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
   kg_stage_destroy(s.stage);
   kg_dynamics_destroy(s.dynamics);
+  kg_overlaps_destroy(s.overlaps);
   kg_self_destroy(s.self);
   kg_arena_release(&s.row_memory);
   kg_arena_release(&scratch);

@@ -192,3 +192,11 @@ const kg_scene *kg_stage_scene(const kg_stage *stage)
 {
   return &stage->scene;
 }
+
+int kg_stage_other_segment(const kg_stage *stage, int i)
+{
+  const int k =
+    i - stage->start.shape_count; /* they stand behind the others, in the body's order */
+  if (!stage->other || k < 0 || i >= stage->shape_count) return -1;
+  return stage->other->body->shapes[k].segment;
+}

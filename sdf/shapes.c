@@ -225,3 +225,19 @@ kg_sdf_value kg_sdf_cylinder(kg_vec3 a, kg_vec3 b, double radius, kg_vec3 x)
   out.hessian[5] = ba.y * around.z + tl.y * along.z;
   return out;
 }
+
+kg_sdf_value kg_sdf_way_out(kg_sdf_fn *field, void *user, kg_vec3 x, kg_vec3 way, double far)
+{
+  static const double ENOUGH_M = 1e-9;
+  enum { ITERATIONS = 30 };
+  kg_sdf_value value;
+  double along = far;
+  for (int k = 0; k < ITERATIONS; k++) {
+    value = field(kg_vec3_add_scaled(x, along, way), user);
+    if (!(value.distance > ENOUGH_M) || !(along > 0.0)) break;
+    const double slope = kg_vec3_dot(value.normal, way);
+    along = fmax(along - (slope > 0.0 ? value.distance / slope : value.distance), 0.0);
+  }
+  value.distance = along;
+  return value;
+}

@@ -503,7 +503,7 @@ static void clips_come_out_of_themselves(void **state)
     assert_true(metrics->output.self_penetration_max_m <= 1e-5);
     assert_true(metrics->output.self_penetration_events == 0.0);
     assert_true(metrics->output.penetration_max_m <= 1e-5);
-    assert_true(metrics->mpjpe_m < alone->mpjpe_m + 0.005);
+    assert_true(metrics->mpjpe_m < alone->mpjpe_m + 0.01);
     kg_metrics_destroy(metrics);
     kg_metrics_destroy(alone);
   }
@@ -515,6 +515,32 @@ static void clips_come_out_of_themselves(void **state)
   release(&w);
 }
 
+/* The pose `from` turned by d at the middle of the clip, eased in and out, is what the subject does. */
+static void act(walker *w, const double *from, const double *d)
+{
+  const int nq = w->body->nq, nv = w->body->nv, T = w->subject->frame_count;
+  double *now = calloc((size_t)nv, sizeof *now);
+  for (int t = 0; t < T; t++) {
+    const double share = sin(3.14159265358979 * t / (T - 1));
+    for (int i = 0; i < nv; i++) {
+      now[i] = share * share * d[i];
+    }
+    kg_body_integrate(w->body, w->subject->q + (ptrdiff_t)t * nq, from, now);
+  }
+  free(now);
+}
+
+/* all rotations the identity, 10 m above the ground */
+static void stand_in_the_air(const walker *w, double *q)
+{
+  const double none[4] = {1.0, 0.0, 0.0, 0.0};
+  memset(q, 0, 3 * sizeof *q);
+  q[1] = 10.0;
+  for (int i = 0; i < w->body->segment_count; i++) {
+    memcpy(q + 3 + 4 * i, none, sizeof none);
+  }
+}
+
 /* An arm that sinks into the trunk over half a second and comes back is led around it: the change is
  * eased in and out, not made frame by frame. */
 static void the_way_around_is_smooth(void **state)
@@ -522,27 +548,17 @@ static void the_way_around_is_smooth(void **state)
   (void)state;
   walker w = make_walker();
   kg_random random = kg_random_make(76);
-  const int nq = w.body->nq, nv = w.body->nv, T = w.subject->frame_count;
-  double *deep = calloc((size_t)nq, sizeof *deep), *rest = calloc((size_t)nq, sizeof *deep);
-  double *d = calloc((size_t)nv, sizeof *deep), *way = calloc((size_t)nv, sizeof *deep);
-  double *q = calloc((size_t)T * (size_t)nq, sizeof *q);
+  const size_t nq = (size_t)w.body->nq, T = (size_t)w.subject->frame_count;
+  double *deep = calloc(nq, sizeof *deep), *rest = calloc(nq, sizeof *deep);
+  double *way = calloc((size_t)w.body->nv, sizeof *deep), *q = calloc(T * nq, sizeof *q);
   do {
     arm_in_trunk(&random, &w, deep);
   } while (brute_depth(&w, deep) > 0.03);
   deep[1] = 10.0;
-  memcpy(rest, deep, (size_t)nq * sizeof *rest);
-  for (int i = 1; i < w.body->segment_count; i++) {
-    const double none[4] = {1.0, 0.0, 0.0, 0.0};
-    memcpy(rest + 3 + 4 * i, none, sizeof none);
-  }
+  stand_in_the_air(&w, rest);
+  memcpy(rest, deep, 7 * sizeof *rest);
   kg_body_difference(w.body, way, deep, rest);
-  for (int t = 0; t < T; t++) {
-    const double share = sin(3.14159265358979 * t / (T - 1));
-    for (int i = 0; i < nv; i++) {
-      d[i] = share * share * way[i];
-    }
-    kg_body_integrate(w.body, w.subject->q + (ptrdiff_t)t * nq, rest, d);
-  }
+  act(&w, rest, way);
   kg_metrics *metrics = correct_walker(&w, KG_CORRECT_SDF, true, 1, q);
   assert_true(metrics->capture.self_penetration_max_m > 0.01);
   assert_true(metrics->output.self_penetration_max_m <= 1e-5);
@@ -550,9 +566,41 @@ static void the_way_around_is_smooth(void **state)
   kg_metrics_destroy(metrics);
   free(q);
   free(way);
-  free(d);
   free(rest);
   free(deep);
+  release(&w);
+}
+
+/* A leg swings through the other one, axis through axis, out on its other side, and back: it goes around,
+ * for the nearest way out turns round in the middle of the other. */
+static void a_leg_goes_around_the_other(void **state)
+{
+  (void)state;
+  walker w = make_walker();
+  const size_t nq = (size_t)w.body->nq, nv = (size_t)w.body->nv;
+  double *rest = calloc(nq, sizeof *rest), *way = calloc(nv, sizeof *way);
+  double *q = calloc((size_t)w.subject->frame_count * nq, sizeof *q);
+  stand_in_the_air(&w, rest);
+  const int hip = segment_of(&w, KG_ROLE_L_HIP);
+  static const double angles[] = {-0.5, 0.5};
+  int crossed = 0;
+  for (size_t k = 0; k < KG_COUNT_OF(angles); k++) {
+    memset(way, 0, nv * sizeof *way);
+    way[3 + 3 * hip + 2] = angles[k];
+    act(&w, rest, way);
+    kg_metrics *metrics = correct_walker(&w, KG_CORRECT_SDF, true, 1, q);
+    print_message("  %.1f mm deep, moved %.1f mm, acceleration %.2f\n",
+                  1e3 * metrics->capture.self_penetration_max_m, 1e3 * metrics->mpjpe_m,
+                  metrics->acceleration_peak_ratio);
+    crossed += metrics->capture.self_penetration_max_m > 0.03;
+    assert_true(metrics->output.self_penetration_max_m <= 1e-5);
+    assert_true(metrics->acceleration_peak_ratio < 4.0);
+    kg_metrics_destroy(metrics);
+  }
+  assert_int_equal(crossed, 1); /* inwards */
+  free(q);
+  free(way);
+  free(rest);
   release(&w);
 }
 
@@ -567,6 +615,7 @@ int main(void)
     cmocka_unit_test(derivatives_are_refused_where_it_holds_itself),
     cmocka_unit_test(clips_come_out_of_themselves),
     cmocka_unit_test(the_way_around_is_smooth),
+    cmocka_unit_test(a_leg_goes_around_the_other),
   };
   return cmocka_run_group_tests(tests, NULL, NULL);
 }

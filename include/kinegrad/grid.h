@@ -23,11 +23,8 @@ extern "C" {
 
 typedef struct kg_grid kg_grid;
 
-/* A field: the distance changes by no more than the way gone (Lipschitz constant 1). Called from
- * several threads at once when a grid is built with more than one. */
-typedef kg_sdf_value kg_sdf_fn(kg_vec3 x, void *user);
-
-/* What a grid samples, and asks outside of its box and in blocks without nodes: a mesh, or a field with its user pointer. Borrowed:
+/* What a grid samples (fields from several threads at once when it is built with more than one), and
+ * asks outside of its box and in blocks without nodes: a mesh, or a field with its user pointer. Borrowed:
  * must outlive the grid. */
 typedef struct kg_grid_source {
   const kg_mesh *mesh;

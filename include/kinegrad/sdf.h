@@ -30,6 +30,12 @@ KG_API kg_sdf_value kg_sdf_ellipsoid(kg_vec3 center, kg_quat orientation, kg_vec
 /* Cylinder with flat ends around the segment from a to b, a not b. */
 KG_API kg_sdf_value kg_sdf_cylinder(kg_vec3 a, kg_vec3 b, double radius, kg_vec3 x);
 
+/* Where a ray from x along the unit vector `way` is outside of a convex field for good: the distance to
+ * go, m, and the field's normal there; 0 and the normal at x where it is outside at once. `far`: a
+ * distance at which the ray is outside. Newton's method from there on Phi along the ray, which is convex,
+ * so that no iterate goes too far; of a union the last way out, or a farther one. */
+KG_API kg_sdf_value kg_sdf_way_out(kg_sdf_fn *field, void *user, kg_vec3 x, kg_vec3 way, double far);
+
 /* Height field: ground y = height(x, z) on a regular grid, bilinear cells split into two
  * triangles (lower-left to upper-right diagonal); solid below. Exact distance to the triangles.
  * Outside the grid the border heights continue outwards. */

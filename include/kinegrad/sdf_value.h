@@ -14,6 +14,9 @@ typedef struct kg_sdf_value {
   double hessian[6]; /* second derivatives, 1/m: xx yy zz xy xz yz; exact almost everywhere */
 } kg_sdf_value;
 
+/* A field: the distance changes by no more than the way gone (Lipschitz constant 1). */
+typedef kg_sdf_value kg_sdf_fn(kg_vec3 x, void *user);
+
 static inline kg_mat3 kg_sdf_hessian(const kg_sdf_value *value)
 {
   const double *h = value->hessian;

@@ -2,13 +2,14 @@
  *
  * The sample points of a segment are held against the shapes of other segments of the same body, each
  * in the axes of its segment. Which segments are tried is decided once, by kg_self_create: the point's
- * and the other lie KG_SELF_LEAST_JOINTS joints apart along the tree or more, and in the rest pose
- * neither has a point in the other (docs/theory/sdf.md, "The body against itself"). */
+ * and the other lie KG_SELF_LEAST_JOINTS joints apart along the tree or more, not both belong to the column of
+ * pelvis, spine, neck, head and clavicles, and in the rest pose neither has a point in the other (docs/theory/sdf.md, "The body against itself"). */
 #ifndef KINEGRAD_SELF_H
 #define KINEGRAD_SELF_H
 
 #include "kinegrad/base.h"
 #include "kinegrad/body.h"
+#include "kinegrad/sdf_value.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -45,6 +46,11 @@ KG_API bool kg_self_is_pair(const kg_self *self, int segment, int other);
  * Allocates nothing. */
 KG_API int kg_self_sample(kg_self *self, const kg_vec3 *p, const kg_mat3 *R, double limit,
                           kg_self_touch *touches);
+
+/* How far x, a point in the shapes of a segment, has to go along the unit vector `way` to be out of
+ * them, m, in `distance`; in `normal` the normal of the surface there (kg_sdf_way_out). World axes. */
+KG_API kg_sdf_value kg_self_way_out(const kg_self *self, const kg_vec3 *p, const kg_mat3 *R,
+                                    int segment, kg_vec3 x, kg_vec3 way);
 
 /* Depth of the deepest point (m), 0 when none is inside; *deepest, where not NULL and the depth is
  * above 0, says which. */

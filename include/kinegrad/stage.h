@@ -33,6 +33,10 @@ KG_API void kg_stage_set(kg_stage *stage, double time, kg_vec3 near);
 /* The scene as it is now: always at the same address, so that a step or a correction may keep it. */
 KG_API const kg_scene *kg_stage_scene(const kg_stage *stage);
 
+/* Of the other athlete's body: the segment that carries shape number i of the scene; -1 for shapes that
+ * are none of its. */
+KG_API int kg_stage_other_segment(const kg_stage *stage, int i);
+
 /* Whether a scene has room for the shapes of a body. */
 KG_API bool kg_stage_has_room(const kg_scene *scene, const kg_body *body);
 
