@@ -38,8 +38,9 @@ static void join_corners(const topology *topo, int *parent)
     parent[v] = v;
   }
   for (int i = 0; i < topo->face_count; i++) {
+    const int root = find_root(parent, topo->corner[i][0]);
     for (int k = 1; k < 3; k++) {
-      parent[find_root(parent, topo->corner[i][k])] = find_root(parent, topo->corner[i][0]);
+      parent[find_root(parent, topo->corner[i][k])] = root;
     }
   }
 }

@@ -71,6 +71,18 @@ static bool fill_mesh(kg_mesh *mesh, const topology *topo, kg_arena *scratch)
   return bvh_build(&mesh->tree, &input, &mesh->arena, scratch);
 }
 
+/* bytes a triangle, of the mesh and while it is built, when there are half as many vertices */
+enum { KEPT = 200, BUILDING = 150 };
+
+/* One block for what will be taken: blocks that grow by doubling would be twice as large, and new
+ * pages of memory cost time. Refused, it is asked for in parts. */
+static void reserve(kg_arena *arena, size_t bytes)
+{
+  const kg_arena_mark empty = kg_arena_mark_of(arena);
+  (void)kg_arena_take(arena, bytes, 64);
+  kg_arena_rewind(arena, empty);
+}
+
 kg_status mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
                       const int *triangles, int triangle_count, bool search_crossings,
                       kg_mesh_report *report, const kg_allocator *allocator, kg_error *error)
@@ -79,6 +91,8 @@ kg_status mesh_create(kg_mesh **mesh, const kg_vec3 *vertices, int vertex_count,
   kg_arena arena, scratch;
   kg_arena_init(&arena, allocator);
   kg_arena_init(&scratch, allocator);
+  reserve(&arena, KEPT * (size_t)triangle_count);
+  reserve(&scratch, BUILDING * (size_t)triangle_count);
   topology topo;
   kg_status status = topology_build(&topo, vertices, vertex_count, triangles, triangle_count,
                                     report, &arena, &scratch, error);
