@@ -43,8 +43,9 @@ static const double LIMB_NEAR_M =
 static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
 static const double ROOT_SHARE =
   0.1; /* the body rises rather than folds straight legs, whose knees jerk */
-static const double DUAL_M = 2e-6; /* miss of a row at which the dual is solved  */
-static const double AIM_M = 2e-5;  /* distance asked for, above the tolerance  */
+static const double DUAL_M = 2e-6;  /* miss of a row at which the dual is solved  */
+static const double AIM_M = 2e-5;   /* distance asked for, above the tolerance  */
+static const double PART_M = 0.005; /* the same between limbs that a simulation will follow */
 
 static const double LEAST_ARM_M =
   1e-3; /* shorter ones cannot move a point out of the body itself */
@@ -76,12 +77,15 @@ typedef struct smoothing {
   kg_dynamics *dynamics;
   kg_stage *stage;
   kg_correct_result *result;
+  double *q;          /* (T, nq) scratch, and the answer */
+  kg_stage_part part; /* of the scene                    */
+  double self_aim;    /* distance asked for between parts of the body, m */
   int T, nv;
-  double *D;                 /* (T, nv) change                                              */
-  double *best;              /* (T, nv) the change with the least depth so far     */
-  double depth, least_depth; /* of the deepest point, m */
-  double *W;                 /* (nv)                                                        */
-  path *paths; /* (path_count) of segments, then of pairs of them; empty where no point can be
+  double *D;    /* (T, nv) change                                              */
+  double *best; /* (T, nv) the change with the least depth so far     */
+  double depth; /* of the deepest point, m */
+  double *W;    /* (nv)                                                        */
+  path *paths;  /* (path_count) of segments, then of pairs of them; empty where no point can be
                       near                                                        */
   int path_count, key_count;
   kg_self *self;               /* NULL: the body is not in its own way */
@@ -147,7 +151,7 @@ static void row_add(const smoothing *s, const row *r, double y, double *d)
 static void pose_frame(smoothing *s, int t)
 {
   const size_t nq = (size_t)s->body->nq;
-  double *q = s->result->q + (size_t)t * nq; /* scratch: the result is written at the end */
+  double *q = s->q + (size_t)t * nq;
   kg_body_integrate(s->body, q, s->subject->q + (size_t)t * nq, s->D + (size_t)t * (size_t)s->nv);
   kg_dynamics_pose(s->dynamics, q, s->p, s->R);
   kg_stage_set(s->stage, t * s->subject->dt, s->p[0]);
@@ -176,7 +180,7 @@ static bool has_room(smoothing *s, size_t entries)
 }
 
 /* The row of frame t whose entries are written, behind the others. */
-static void add_row(smoothing *s, int t, int key, path *p, double distance)
+static void add_row(smoothing *s, int t, int key, path *p, double distance, double aim)
 {
   const double *D = s->D + (size_t)t * (size_t)s->nv;
   const size_t first = s->entry_count;
@@ -185,7 +189,7 @@ static void add_row(smoothing *s, int t, int key, path *p, double distance)
     .key = key,
     .path = p,
     .first = first,
-    .bound = AIM_M - distance + row_dot(s->entries + first, p->column, p->count, D),
+    .bound = aim - distance + row_dot(s->entries + first, p->column, p->count, D),
   };
   s->entry_count += (size_t)p->count;
 }
@@ -221,7 +225,7 @@ static void pass_point(smoothing *s, int t, int k)
   double *g = s->entries + s->entry_count;
   kg_store3(g, value.normal);
   (void)write_chain(s, g + 3, point->segment, -1, x, value.normal);
-  add_row(s, t, k, p, value.distance);
+  add_row(s, t, k, p, value.distance, AIM_M);
 }
 
 static path *path_of_pair(const smoothing *s, int segment, int other)
@@ -245,7 +249,7 @@ static void pass_self_touch(smoothing *s, int t, const kg_self_touch *touch)
     size2 += g[k] * g[k];
   }
   if (size2 < LEAST_ARM_M * LEAST_ARM_M) return;
-  add_row(s, t, s->body->point_count + touch->point, p, touch->distance);
+  add_row(s, t, s->body->point_count + touch->point, p, touch->distance, s->self_aim);
 }
 
 static void pass_self(smoothing *s, int t)
@@ -430,6 +434,20 @@ static bool is_zero(const double *x, int n)
   return true;
 }
 
+/* Frame t of the answer: the capture changed by D; bit for bit as it is where D is zero, no renormalised
+ * quaternions. */
+static void write_frame(const smoothing *s, int t)
+{
+  const size_t nq = (size_t)s->body->nq;
+  const double *captured = s->subject->q + (size_t)t * nq, *D = s->D + (size_t)t * (size_t)s->nv;
+  double *q = s->q + (size_t)t * nq;
+  if (is_zero(D, s->nv)) {
+    memcpy(q, captured, nq * sizeof *q);
+  } else {
+    kg_body_integrate(s->body, q, captured, D);
+  }
+}
+
 /* A share of the frames, corrected one by one; each worker has its own. */
 typedef struct finisher {
   const smoothing *s;
@@ -476,13 +494,8 @@ static void *finish_share(void *user)
   const smoothing *s = f->s;
   const size_t nq = (size_t)s->body->nq;
   for (int t = f->first; t < f->end; t++) {
-    double *q = s->result->q + (size_t)t * nq;
-    const double *captured = s->subject->q + (size_t)t * nq, *D = s->D + (size_t)t * (size_t)s->nv;
-    if (is_zero(D, s->nv)) { /* left bit for bit as it is: no renormalised quaternions */
-      memcpy(q, captured, nq * sizeof *q);
-    } else {
-      kg_body_integrate(s->body, q, captured, D);
-    }
+    double *q = s->q + (size_t)t * nq;
+    write_frame(s, t);
     kg_stage_set(f->stage, t * s->subject->dt, kg_vec3_make(q[0], q[1], q[2]));
     s->result->penetration[t] = correct_frame(f, t, q);
     if (f->reports && t % 64 == 0 &&
@@ -595,6 +608,7 @@ static void make_paths(smoothing *s, kg_arena *arena)
 static kg_status smoothing_create(smoothing *s, kg_arena *arena)
 {
   const size_t T = (size_t)s->T, nv = (size_t)s->nv;
+  kg_arena_init(&s->row_memory, arena->allocator);
   s->D = KG_ARENA_ARRAY(arena, double, T *nv);
   s->best = KG_ARENA_ARRAY(arena, double, T *nv);
   s->W = KG_ARENA_ARRAY(arena, double, nv);
@@ -618,7 +632,7 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   }
   kg_status status = kg_dynamics_create(&s->dynamics, s->body, arena->allocator);
   if (status == KG_OK) {
-    status = kg_stage_create(&s->stage, s->subject, KG_STAGE_ALL, arena->allocator);
+    status = kg_stage_create(&s->stage, s->subject, s->part, arena->allocator);
   }
   if (status == KG_OK) {
     kg_dynamics_mass_matrix(s->dynamics, M, s->subject->q);
@@ -632,6 +646,47 @@ static kg_status smoothing_create(smoothing *s, kg_arena *arena)
   return status;
 }
 
+static void smoothing_destroy(smoothing *s)
+{
+  kg_stage_destroy(s->stage);
+  kg_dynamics_destroy(s->dynamics);
+  kg_overlaps_destroy(s->overlaps);
+  kg_self_destroy(s->self);
+  kg_arena_release(&s->row_memory);
+}
+
+/* D, once smoothing_create has made it all; *interrupted: by the progress of def, which counts to `share` */
+static kg_status smooth(smoothing *s, const kg_correct_def *def, double share, bool *interrupted)
+{
+  const size_t size = (size_t)s->T * (size_t)s->nv * sizeof *s->D;
+  double least = INFINITY;
+  for (int round = 0; round <= LINEARISATIONS && !*interrupted; round++) {
+    if (!linearise(s)) return KG_ERR_NO_MEMORY;
+    if (s->depth < least) {
+      least = s->depth;
+      memcpy(s->best, s->D, size);
+    }
+    if (s->depth == 0.0 || round == LINEARISATIONS) break;
+    solve_dual(s);
+    *interrupted = def->progress &&
+                   !def->progress(share * (round + 1) / LINEARISATIONS, "sdf", def->progress_user);
+  }
+  memcpy(s->D, s->best, size);
+  return KG_OK;
+}
+
+static smoothing make_smoothing(const kg_subject *subject, double *q, kg_stage_part part,
+                                double self_aim)
+{
+  return (smoothing){.subject = subject,
+                     .body = subject->body,
+                     .q = q,
+                     .part = part,
+                     .self_aim = self_aim,
+                     .T = subject->frame_count,
+                     .nv = subject->body->nv};
+}
+
 kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
                          const kg_correct_def *def, kg_arena *arena)
 {
@@ -639,43 +694,34 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
   clock_gettime(CLOCK_MONOTONIC, &start);
   kg_arena scratch;
   kg_arena_init(&scratch, arena->allocator);
-  smoothing s = {.subject = subject,
-                 .body = subject->body,
-                 .result = result,
-                 .T = subject->frame_count,
-                 .nv = subject->body->nv};
-  kg_arena_init(&s.row_memory, arena->allocator);
+  smoothing s = make_smoothing(subject, result->q, KG_STAGE_ALL, AIM_M);
+  s.result = result;
   kg_status status = smoothing_create(&s, &scratch);
-  s.least_depth = INFINITY;
-  for (int round = 0; status == KG_OK && round <= LINEARISATIONS; round++) {
-    if (!linearise(&s)) {
-      status = KG_ERR_NO_MEMORY;
-      break;
-    }
-    if (s.depth < s.least_depth) {
-      s.least_depth = s.depth;
-      memcpy(s.best, s.D, (size_t)s.T * (size_t)s.nv * sizeof *s.D);
-    }
-    if (s.depth == 0.0 || round == LINEARISATIONS) break;
-    solve_dual(&s);
-    if (def->progress &&
-        !def->progress(0.8 * (round + 1) / LINEARISATIONS, "sdf", def->progress_user)) {
-      result->interrupted = true;
-      break;
-    }
-  }
-  if (status == KG_OK) memcpy(s.D, s.best, (size_t)s.T * (size_t)s.nv * sizeof *s.D);
+  if (status == KG_OK) status = smooth(&s, def, 0.8, &result->interrupted);
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
-  kg_stage_destroy(s.stage);
-  kg_dynamics_destroy(s.dynamics);
-  kg_overlaps_destroy(s.overlaps);
-  kg_self_destroy(s.self);
-  kg_arena_release(&s.row_memory);
+  smoothing_destroy(&s);
   kg_arena_release(&scratch);
   clock_gettime(CLOCK_MONOTONIC, &end);
   result->ms_sdf =
     (1e3 * (double)(end.tv_sec - start.tv_sec) + 1e-6 * (double)(end.tv_nsec - start.tv_nsec)) /
     result->frame_count;
   result->ms_per_frame = result->ms_sdf;
+  return status;
+}
+
+kg_status kg_part_limbs(double *q, const kg_subject *subject, const kg_allocator *allocator)
+{
+  const kg_correct_def silent = {0};
+  kg_arena scratch;
+  kg_arena_init(&scratch, allocator);
+  smoothing s = make_smoothing(subject, q, KG_STAGE_OTHER_ONLY, PART_M);
+  bool interrupted = false;
+  kg_status status = smoothing_create(&s, &scratch);
+  if (status == KG_OK) status = smooth(&s, &silent, 1.0, &interrupted);
+  for (int t = 0; status == KG_OK && t < s.T; t++) {
+    write_frame(&s, t);
+  }
+  smoothing_destroy(&s);
+  kg_arena_release(&scratch);
   return status;
 }

@@ -832,6 +832,20 @@ static void tracker_destroy(tracker *s)
   kg_dynamics_destroy(s->dynamics);
 }
 
+/* of the capture, limbs that overlap led apart first: feedback would press them on each other */
+static kg_status create_reference(kg_reference *reference, const tracker *s, kg_arena *arena)
+{
+  kg_subject apart = *s->subject;
+  if (apart.self || apart.other) {
+    apart.q = KG_ARENA_ARRAY(arena, double, apart.frame_count *apart.body->nq);
+    if (!apart.q) return KG_ERR_NO_MEMORY;
+    const kg_status status = kg_part_limbs(apart.q, s->subject, arena->allocator);
+    if (status != KG_OK) return status;
+  }
+  return kg_reference_create(reference, &apart, &s->def->track, s->h, s->def->gravity,
+                             s->def->contact.friction, arena);
+}
+
 kg_status kg_correct_track(kg_correct_result *result, const kg_subject *subject,
                            const kg_correct_def *def, kg_arena *arena)
 {
@@ -847,8 +861,7 @@ kg_status kg_correct_track(kg_correct_result *result, const kg_subject *subject,
                .reference = &reference,
                .result = result,
                .h = shortest};
-  kg_status status = kg_reference_create(&reference, subject, &def->track, s.h, def->gravity,
-                                         def->contact.friction, &scratch);
+  kg_status status = create_reference(&reference, &s, &scratch);
   if (status == KG_OK) {
     result->substepped_frames = KG_ARENA_ARRAY(arena, int, reference.count);
     result->restart_frames = KG_ARENA_ARRAY(arena, int, reference.count);
