@@ -1,5 +1,6 @@
 /* The kinematic method of kg_correct: what goes into the ground comes out of it, smoothly. */
 #include "fixture_clip.h"
+#include "mesh_support.h"
 
 #include "kinegrad/correct.h"
 #include "kinegrad/dynamics.h"
@@ -105,6 +106,73 @@ static void a_dip_is_removed_without_a_pop(void **state)
   kg_correct_result_destroy(result);
   kg_subject_destroy(subject);
   kg_clip_destroy(clip);
+}
+
+/* Waves of a mesh of small faces, 2 m along x and 1 m wide. */
+static kg_mesh *waves(double height, double length)
+{
+  enum { COLUMNS = 50, ROWS = 24 };
+  static soup s;
+  s.vertex_count = s.triangle_count = 0;
+  for (int i = 0; i <= ROWS; i++) {
+    for (int j = 0; j <= COLUMNS; j++) {
+      const double x = 2.0 * j / COLUMNS - 1.0, z = 1.0 * i / ROWS - 0.5;
+      (void)add_vertex(&s, kg_vec3_make(x, height * sin(6.283185307179586 * x / length), z));
+    }
+  }
+  for (int i = 0; i < ROWS; i++) {
+    for (int j = 0; j < COLUMNS; j++) {
+      const int a = i * (COLUMNS + 1) + j, b = a + COLUMNS + 1;
+      add_triangle(&s, a, b, a + 1);
+      add_triangle(&s, a + 1, b, b + 1);
+    }
+  }
+  return build_mesh(&s, NULL);
+}
+
+/* A body that glides over the edges of a mesh goes up and down with its waves, not with its faces. */
+static void faces_of_a_mesh_are_not_felt(void **state)
+{
+  (void)state;
+  enum { T = 60 };
+  const double HEIGHT = 0.01, LENGTH = 0.8, SPEED = 0.6;
+  kg_mesh *mesh = waves(HEIGHT, LENGTH);
+  kg_clip *clip = person_clip(T, DT);
+  for (int t = 0; t < T; t++) {
+    pose_standing(clip, t, SPEED * DT * t - 0.4, 0.0, 0.0);
+  }
+  kg_subject *subject = subject_on(clip, 0.0);
+  subject->scene.shape_count = 0;
+  const kg_sdf_shape shape = {.kind = KG_SHAPE_MESH, .mesh = mesh};
+  assert_true(kg_scene_add(&subject->scene, &shape));
+  kg_correct_result *result = sdf_result(subject);
+  kg_dynamics *dynamics;
+  assert_int_equal(kg_dynamics_create(&dynamics, subject->body, NULL), KG_OK);
+  const size_t nq = (size_t)subject->body->nq;
+  double before = 0.0, sharpest = 0.0;
+  for (int t = 0; t < T; t++) {
+    before = fmax(before, -point_heights(subject, dynamics, subject->q + (size_t)t * nq, NULL));
+    assert_at_most(-point_heights(subject, dynamics, result->q + (size_t)t * nq, NULL), 1e-5);
+    if (t == 0 || t + 1 == T) continue;
+    const double *q = result->q + (size_t)t * nq;
+    for (int side = 0; side < 2; side++) {
+      const kg_body_point *heel = &subject->body->points[side * KG_SOLE_NODE_COUNT];
+      const double h[3] = {kg_dynamics_point(dynamics, NULL, q - nq, *heel).y,
+                           kg_dynamics_point(dynamics, NULL, q, *heel).y,
+                           kg_dynamics_point(dynamics, NULL, q + nq, *heel).y};
+      sharpest = fmax(sharpest, fabs(h[0] - 2.0 * h[1] + h[2]) / (DT * DT));
+    }
+  }
+  print_message("  %.1f mm deep, %.2f m/s2 at most\n", 1e3 * before, sharpest);
+  assert_true(before > 0.8 * HEIGHT);
+  /* the ease's own, and that of the waves */
+  const double turn = 6.283185307179586 * SPEED / LENGTH;
+  assert_at_most(sharpest, HEIGHT / (EASE_S * EASE_S) + HEIGHT * turn * turn);
+  kg_dynamics_destroy(dynamics);
+  kg_correct_result_destroy(result);
+  kg_subject_destroy(subject);
+  kg_clip_destroy(clip);
+  kg_mesh_destroy(mesh);
 }
 
 /* The body is raised a little and the left leg folded a little: the right foot is not simply lifted
@@ -243,6 +311,7 @@ int main(void)
 {
   const struct CMUnitTest tests[] = {
     cmocka_unit_test(a_dip_is_removed_without_a_pop),
+    cmocka_unit_test(faces_of_a_mesh_are_not_felt),
     cmocka_unit_test(the_other_foot_moves_less),
     cmocka_unit_test(motion_above_the_ground_is_left_alone),
     cmocka_unit_test(short_clips_are_corrected_too),
