@@ -33,7 +33,7 @@
 #include <string.h>
 #include <time.h>
 
-enum { LINEARISATIONS = 10, DUAL_ITERATIONS = 20, MAX_THREADS = 16 };
+enum { LINEARISATIONS = 10, MOST_LINEARISATIONS = 20, DUAL_ITERATIONS = 20, MAX_THREADS = 16 };
 
 static const double EASE_TIME_S = 0.1;
 static const double NEAR_M = 0.004; /* points nearer than this get a row        */
@@ -43,9 +43,10 @@ static const double LIMB_NEAR_M =
 static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
 static const double ROOT_SHARE =
   0.1; /* the body rises rather than folds straight legs, whose knees jerk */
-static const double DUAL_M = 2e-6;  /* miss of a row at which the dual is solved  */
-static const double AIM_M = 2e-5;   /* distance asked for, above the tolerance  */
-static const double PART_M = 0.005; /* the same between limbs that a simulation will follow */
+static const double DUAL_M = 2e-6;    /* miss of a row at which the dual is solved  */
+static const double SHALLOW_M = 1e-3; /* what the last pass takes away without a pop */
+static const double AIM_M = 2e-5;     /* distance asked for, above the tolerance  */
+static const double PART_M = 0.005;   /* the same between limbs that a simulation will follow */
 
 static const double LEAST_ARM_M =
   1e-3; /* shorter ones cannot move a point out of the body itself */
@@ -464,7 +465,7 @@ typedef struct finisher {
 
 /* Moves q, frame t with its change, out of what it touches; returns the depth that is left. Limbs that
  * are deep in each other can have points on both sides of the other's axis, which hold each other: the
- * changes of the frames around, and none, are other places to start from. */
+ * changes of the frames around, and at last none, are other places to start from. */
 static double correct_frame(finisher *f, int t, double *q)
 {
   static const int around[] = {-1, 1, -2, 2, -4, 4};
@@ -474,11 +475,12 @@ static double correct_frame(finisher *f, int t, double *q)
   kg_correction_report report = kg_correction_apply(f->correction, q, NULL, NULL);
   double depth = report.d_pen_after;
   f->iterations += report.iterations;
-  for (int k = -1; k < (int)KG_COUNT_OF(around) && s->self && !report.converged; k++) {
-    const int from = k < 0 ? t : t + around[k];
+  for (int k = 0; k <= (int)KG_COUNT_OF(around) && s->self && !report.converged; k++) {
+    const bool is_last = k == (int)KG_COUNT_OF(around);
+    const int from = is_last ? t : t + around[k];
     if (from < 0 || from >= s->T) continue;
     memcpy(f->q, captured, nq * sizeof *q);
-    if (k >= 0) kg_body_integrate(s->body, f->q, captured, s->D + (size_t)from * (size_t)s->nv);
+    if (!is_last) kg_body_integrate(s->body, f->q, captured, s->D + (size_t)from * (size_t)s->nv);
     report = kg_correction_apply(f->correction, f->q, NULL, NULL);
     f->iterations += report.iterations;
     if (!(report.d_pen_after < depth)) continue;
@@ -655,21 +657,24 @@ static void smoothing_destroy(smoothing *s)
   kg_arena_release(&s->row_memory);
 }
 
-/* D, once smoothing_create has made it all; *interrupted: by the progress of def, which counts to `share` */
-static kg_status smooth(smoothing *s, const kg_correct_def *def, double share, bool *interrupted)
+/* D, once smoothing_create has made it all, in at most `most` linearisations; *interrupted: by the progress
+ * of def, which counts to `share` */
+static kg_status smooth(smoothing *s, const kg_correct_def *def, int most, double share,
+                        bool *interrupted)
 {
   const size_t size = (size_t)s->T * (size_t)s->nv * sizeof *s->D;
   double least = INFINITY;
-  for (int round = 0; round <= LINEARISATIONS && !*interrupted; round++) {
+  for (int round = 0; round <= most && !*interrupted; round++) {
     if (!linearise(s)) return KG_ERR_NO_MEMORY;
     if (s->depth < least) {
       least = s->depth;
       memcpy(s->best, s->D, size);
     }
-    if (s->depth == 0.0 || round == LINEARISATIONS) break;
+    if (s->depth == 0.0 || round == most) break;
+    if (round >= LINEARISATIONS && least < SHALLOW_M) break;
     solve_dual(s);
-    *interrupted = def->progress &&
-                   !def->progress(share * (round + 1) / LINEARISATIONS, "sdf", def->progress_user);
+    *interrupted =
+      def->progress && !def->progress(share * (round + 1) / most, "sdf", def->progress_user);
   }
   memcpy(s->D, s->best, size);
   return KG_OK;
@@ -697,7 +702,7 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
   smoothing s = make_smoothing(subject, result->q, KG_STAGE_ALL, AIM_M);
   s.result = result;
   kg_status status = smoothing_create(&s, &scratch);
-  if (status == KG_OK) status = smooth(&s, def, 0.8, &result->interrupted);
+  if (status == KG_OK) status = smooth(&s, def, MOST_LINEARISATIONS, 0.8, &result->interrupted);
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
   smoothing_destroy(&s);
   kg_arena_release(&scratch);
@@ -717,7 +722,7 @@ kg_status kg_part_limbs(double *q, const kg_subject *subject, const kg_allocator
   smoothing s = make_smoothing(subject, q, KG_STAGE_OTHER_ONLY, PART_M);
   bool interrupted = false;
   kg_status status = smoothing_create(&s, &scratch);
-  if (status == KG_OK) status = smooth(&s, &silent, 1.0, &interrupted);
+  if (status == KG_OK) status = smooth(&s, &silent, LINEARISATIONS, 1.0, &interrupted);
   for (int t = 0; status == KG_OK && t < s.T; t++) {
     write_frame(&s, t);
   }

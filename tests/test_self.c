@@ -571,7 +571,7 @@ static void the_way_around_is_smooth(void **state)
   release(&w);
 }
 
-/* A leg swings through the other one, axis through axis, out on its other side, and back: it goes around,
+/* A leg swings through the other one, axis through axis, into it or out on its other side, and back: it goes around,
  * for the nearest way out turns round in the middle of the other. */
 static void a_leg_goes_around_the_other(void **state)
 {
@@ -582,7 +582,7 @@ static void a_leg_goes_around_the_other(void **state)
   double *q = calloc((size_t)w.subject->frame_count * nq, sizeof *q);
   stand_in_the_air(&w, rest);
   const int hip = segment_of(&w, KG_ROLE_L_HIP);
-  static const double angles[] = {-0.5, 0.5};
+  static const double angles[] = {-0.9, -0.5, 0.5}, most[] = {20.0, 4.0, 1.1};
   int crossed = 0;
   for (size_t k = 0; k < KG_COUNT_OF(angles); k++) {
     memset(way, 0, nv * sizeof *way);
@@ -594,10 +594,10 @@ static void a_leg_goes_around_the_other(void **state)
                   metrics->acceleration_peak_ratio);
     crossed += metrics->capture.self_penetration_max_m > 0.03;
     assert_true(metrics->output.self_penetration_max_m <= 1e-5);
-    assert_true(metrics->acceleration_peak_ratio < 4.0);
+    assert_true(metrics->acceleration_peak_ratio < most[k]);
     kg_metrics_destroy(metrics);
   }
-  assert_int_equal(crossed, 1); /* inwards */
+  assert_int_equal(crossed, 2); /* inwards */
   free(q);
   free(way);
   free(rest);
