@@ -1,6 +1,6 @@
 /* How the correction of penetration converges: random poses inside a plane and inside a mesh.
  *
- *   correction_states [--poses N] [--seed S] [--ceres K] [--printed K] [--deepest M] CLIP
+ *   correction_states [--poses N] [--seed S] [--ceres K] [--printed K] [--deepest M] [--scene NAME] CLIP
  *
  * The body is the clip's. A pose: every joint turned from the rest pose about any axis by an angle
  * uniform in [0, limit of its role], the root turned any way (uniform over rotations), set down at
@@ -8,9 +8,19 @@
  * Scenes: the plane y = 0; hills of 100 352 triangles over 10 x 10 m closed from below, 0.25 m high,
  * with facets of 4.5 cm.
  *
- * Both methods correct all N poses. K of them, evenly spread, are given to Ceres (a constrained
- * minimum, from the answer and from no move; the shorter counts), and K go through Eq. 11 as
- * printed: q <- q - 0.1 grad L_coll in the plain metric, until d_pen <= 1e-5 m or 20 000 steps. */
+ * Both methods correct all N poses, second order also with 12 ways (starts). "Iterations" are all that the
+ * report counts, "of the answer" those of the way that led to it.
+ *
+ * K of the poses, evenly spread, are given to Ceres, a constrained minimum from seven starts: the three
+ * answers, no move, two random moves, and the shortest that kinegrad's second-order steps reach from
+ * 64 random moves. Ratios of length: an answer over Ceres' from this answer (whether it stands at a
+ * minimum), over Ceres' from no move, over the shortest of Ceres' from the answers, no move and the two
+ * random moves, and over the shortest known at all, by whoever. A random move: every component of a
+ * rotation normal, of a translation a third of it; standard deviation 0.25 rad for Ceres, 0.06 to 0.5 for
+ * the 64, every other four of which are around the shortest move so far.
+ *
+ * K poses (--printed) go through Eq. 11 as printed: q <- q - 0.1 grad L_coll in the plain metric, until
+ * d_pen <= 1e-5 m or 20 000 steps. --scene plane or mesh: that one alone. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -21,12 +31,16 @@
 #include "kinegrad/correction.h"
 #include "kinegrad/random.h"
 #include "kinegrad/subject.h"
+#include "physics/correction.h"
 
 enum {
   NQ = 3 + 4 * KG_ROLE_COUNT,
   NV = 3 + 3 * KG_ROLE_COUNT,
   HILL_CELLS = 224,
-  PRINTED_STEPS = 20000
+  PRINTED_STEPS = 20000,
+  METHODS = 3,
+  CERES_RANDOM = 2,
+  OWN_RANDOM = 64
 };
 
 /* rad, from the rest pose, any axis */
@@ -155,6 +169,16 @@ static int ascending(const void *a, const void *b)
   return (x > y) - (x < y);
 }
 
+static void *numbers(size_t count)
+{
+  void *memory = calloc(count, sizeof(double));
+  if (!memory) {
+    fprintf(stderr, "correction_states: out of memory\n");
+    exit(1);
+  }
+  return memory;
+}
+
 /* sorts x */
 static double quantile(double *x, int count, double share)
 {
@@ -172,14 +196,22 @@ static double share_at_most(const double *x, int count, double limit)
   return count > 0 ? (double)good / count : NAN;
 }
 
+static const struct {
+  const char *name;
+  kg_correction_method method;
+  int starts;
+} methods[METHODS] = {{"second order", KG_CORRECTION_SECOND_ORDER, 1},
+                      {"  of 12 ways", KG_CORRECTION_SECOND_ORDER, 12},
+                      {"Eq. 11, safe", KG_CORRECTION_GRADIENT, 1}};
+
 typedef struct experiment {
   const kg_body *body;
   const kg_scene *scene;
   const char *name;
-  double *poses; /* (count, nq)                                         */
-  double *moves; /* (count, nv) of the second order                     */
-  double *length;
-  double *sample[4]; /* (count) each */
+  double *poses;           /* (count, nq)             */
+  double *moves[METHODS];  /* (count, nv)             */
+  double *length[METHODS]; /* (count)                 */
+  double *sample[4];       /* (count) each            */
   int count, ceres_count, printed_count;
 } experiment;
 
@@ -188,77 +220,183 @@ static const double *pose_of(const experiment *e, int k)
   return e->poses + (size_t)k * (size_t)e->body->nq;
 }
 
+static double *move_of(const experiment *e, int method, int k)
+{
+  return e->moves[method] + (size_t)k * (size_t)e->body->nv;
+}
+
 /* ---- the methods ---------------------------------------------------------------------------------*/
 
-static void run_method(experiment *e, kg_correction_method method)
+static kg_correction *make_correction(const experiment *e, int method)
+{
+  kg_correction_def def = kg_correction_default_def(e->body, e->scene);
+  kg_correction *c = NULL;
+  def.method = methods[method].method;
+  def.starts = methods[method].starts;
+  if (kg_correction_create(&c, &def) != KG_OK) exit(1);
+  return c;
+}
+
+static void run_method(experiment *e, int method)
 {
   const kg_body *body = e->body;
-  kg_correction_def def = kg_correction_default_def(body, e->scene);
-  kg_correction *c = NULL;
-  def.method = method;
-  if (kg_correction_create(&c, &def) != KG_OK) exit(1);
-  double *iterations = e->sample[0], *ms = e->sample[1], *gap = e->sample[2];
+  kg_correction *c = make_correction(e, method);
+  double *iterations = e->sample[0], *ms = e->sample[1], *gap = e->sample[2], *own = e->sample[3];
   double by_depth[3] = {0.0}, worst = 0.0;
   int in_depth[3] = {0}, converged = 0;
   for (int k = 0; k < e->count; k++) {
     double q[NQ];
     memcpy(q, pose_of(e, k), (size_t)body->nq * sizeof *q);
     const double start = kg_bench_now().cpu;
-    const kg_correction_report report =
-      kg_correction_apply(c, q, NULL, e->moves + (size_t)k * (size_t)body->nv);
+    const kg_correction_report report = kg_correction_apply(c, q, NULL, move_of(e, method, k));
     ms[k] = 1e3 * (kg_bench_now().cpu - start);
     iterations[k] = report.iterations;
+    own[k] = report.iterations_of_answer;
     gap[k] = report.lowest;
-    e->length[k] = report.displacement;
+    e->length[method][k] = report.displacement;
     converged += report.converged && report.d_pen_after <= 1e-5;
     worst = fmax(worst, report.d_pen_after);
     const int third = report.d_pen_before < 0.1 ? 0 : report.d_pen_before < 0.2 ? 1 : 2;
     by_depth[third] += report.iterations;
     in_depth[third]++;
   }
-  const double shallow = by_depth[0] / fmax(1, in_depth[0]),
-               middle = by_depth[1] / fmax(1, in_depth[1]),
-               deep = by_depth[2] / fmax(1, in_depth[2]);
-  printf("%-6s %-12s %8.2f%% %9.1e %5.0f %5.0f %5.0f  %5.1f %5.1f %5.1f %10.2e %7.3f %7.3f\n",
-         e->name, method == KG_CORRECTION_GRADIENT ? "Eq. 11, safe" : "second order",
-         100.0 * converged / e->count, worst, quantile(iterations, e->count, 0.5),
-         quantile(iterations, e->count, 0.95), quantile(iterations, e->count, 1.0), shallow, middle,
-         deep, quantile(gap, e->count, 1.0), quantile(ms, e->count, 0.5),
-         quantile(ms, e->count, 0.95));
+  printf("%-6s %-12s %8.2f%% %9.1e %5.0f %5.0f %5.0f  %5.0f %5.0f %5.0f  %5.1f %5.1f %5.1f %10.2e "
+         "%7.3f %7.3f\n",
+         e->name, methods[method].name, 100.0 * converged / e->count, worst,
+         quantile(iterations, e->count, 0.5), quantile(iterations, e->count, 0.95),
+         quantile(iterations, e->count, 1.0), quantile(own, e->count, 0.5),
+         quantile(own, e->count, 0.95), quantile(own, e->count, 1.0),
+         by_depth[0] / fmax(1, in_depth[0]), by_depth[1] / fmax(1, in_depth[1]),
+         by_depth[2] / fmax(1, in_depth[2]), quantile(gap, e->count, 1.0),
+         quantile(ms, e->count, 0.5), quantile(ms, e->count, 0.95));
   fflush(stdout);
   kg_correction_destroy(c);
 }
 
-static void run_ceres(experiment *e, kg_correction_method method)
+/* ---- the shortest known --------------------------------------------------------------------------*/
+
+static void random_move(kg_random *random, int nv, double size, const double *around, double *D)
 {
-  least_reference *reference = least_reference_create(e->body, e->scene);
-  if (!reference) exit(1);
-  double *local = e->sample[0], *cold = e->sample[1], *best = e->sample[2];
-  int n = 0, failed = 0;
-  for (int s = 0; s < e->ceres_count; s++) {
-    const int k = (int)((long)s * e->count / e->ceres_count);
-    double D[NV] = {0.0}, depth_cold, depth;
-    const double from_zero = least_reference_move(reference, pose_of(e, k), D, &depth_cold);
-    memcpy(D, e->moves + (size_t)k * (size_t)e->body->nv, (size_t)e->body->nv * sizeof *D);
-    const double from_ours = least_reference_move(reference, pose_of(e, k), D, &depth);
-    if (!(depth <= 1e-5) && !(depth_cold <= 1e-5)) {
-      failed++;
-      continue;
-    }
-    local[n] = depth <= 1e-5 ? e->length[k] / from_ours : 0.0;
-    cold[n] = depth_cold <= 1e-5 ? e->length[k] / from_zero : 0.0;
-    best[n] = fmax(local[n], cold[n]);
-    n++;
+  for (int i = 0; i < nv; i++) {
+    D[i] = around[i] + size * kg_random_normal(random) * (i < 3 ? 1.0 / 3.0 : 1.0);
   }
-  printf("%-6s %-12s %6d %7d", e->name,
-         method == KG_CORRECTION_GRADIENT ? "Eq. 11, safe" : "second order", n, failed);
-  double *const ratios[3] = {local, cold, best};
-  for (int k = 0; k < 3; k++) {
-    printf("   %8.2f%% %7.4f %7.4f", 100.0 * share_at_most(ratios[k], n, 1.05),
-           quantile(ratios[k], n, 0.5), quantile(ratios[k], n, 1.0));
+}
+
+/* Ceres from D; D becomes its answer. INFINITY when that is not outside. */
+static double ceres_length(least_reference *reference, const double *q, double *D)
+{
+  double depth = INFINITY;
+  const double length = least_reference_move(reference, q, D, &depth);
+  return depth <= 1e-5 ? length : INFINITY;
+}
+
+/* The shortest move that the second-order steps reach from random moves and `best`, which it replaces */
+static double shortest_of_many(kg_correction *c, const double *q, kg_random *random, double length,
+                               double *best)
+{
+  static const double sizes[4] = {0.06, 0.15, 0.3, 0.5}, zero[NV] = {0.0};
+  for (int k = 0; k < OWN_RANDOM; k++) {
+    int iterations = 0;
+    (void)correction_begin(c, q);
+    random_move(random, c->nv, sizes[k % 4], k / 4 % 2 == 0 ? zero : best, c->D);
+    correction_go_to(c, c->D);
+    if (!correction_settle(c, INFINITY, &iterations)) continue;
+    correction_go_to(c, c->D);
+    const double found = sqrt(correction_metric(c, c->D, c->D));
+    if (c->d_pen > c->def.tolerance || !(found < length)) continue;
+    length = found;
+    memcpy(best, c->D, (size_t)c->nv * sizeof *best);
+  }
+  return length;
+}
+
+static void print_ratios(const double *ratio, int n, double *scratch)
+{
+  memcpy(scratch, ratio, (size_t)n * sizeof *scratch);
+  printf("   %8.2f%% %7.4f %7.4f", 100.0 * share_at_most(ratio, n, 1.05), quantile(scratch, n, 0.5),
+         quantile(scratch, n, 1.0));
+}
+
+static void print_histogram(const char *scene, const char *name, const double *ratio, int n)
+{
+  static const double up_to[] = {1.001, 1.01, 1.02, 1.05, 1.1, 1.2, 1.5, INFINITY};
+  printf("%-6s %-12s", scene, name);
+  double below = 0.0;
+  for (size_t k = 0; k < sizeof up_to / sizeof *up_to; k++) {
+    const double share = share_at_most(ratio, n, up_to[k]);
+    printf(" %7.2f%%", 100.0 * (share - below));
+    below = share;
   }
   printf("\n");
+}
+
+static void run_ceres(experiment *e, uint64_t seed)
+{
+  enum { LOCAL, COLD, CERES, KNOWN, KINDS };
+  const int nv = e->body->nv;
+  static const double zero[NV] = {0.0};
+  least_reference *reference = least_reference_create(e->body, e->scene);
+  kg_correction *c = make_correction(e, 0);
+  double *ratio[METHODS][KINDS], *cold = e->sample[0], *scratch = e->sample[1];
+  kg_random random = kg_random_make(seed + 1000);
+  const int n = e->ceres_count;
+  if (!reference) exit(1);
+  for (int m = 0; m < METHODS * KINDS; m++) {
+    ratio[m / KINDS][m % KINDS] = numbers((size_t)n);
+  }
+  for (int s = 0; s < n; s++) {
+    const int k = (int)((long)s * e->count / n);
+    const double *q = pose_of(e, k);
+    double D[NV], best[NV], local[METHODS], ceres = INFINITY, known = INFINITY;
+    for (int m = 0; m < METHODS; m++) {
+      memcpy(D, move_of(e, m, k), (size_t)nv * sizeof *D);
+      if (e->length[m][k] < known) {
+        known = e->length[m][k];
+        memcpy(best, D, (size_t)nv * sizeof *D);
+      }
+      local[m] = ceres_length(reference, q, D);
+      ceres = fmin(ceres, local[m]);
+    }
+    memset(D, 0, sizeof D);
+    const double from_zero = ceres_length(reference, q, D);
+    ceres = fmin(ceres, from_zero);
+    for (int r = 0; r < CERES_RANDOM; r++) {
+      random_move(&random, nv, 0.25, zero, D);
+      ceres = fmin(ceres, ceres_length(reference, q, D));
+    }
+    known = shortest_of_many(c, q, &random, known, best);
+    known = fmin(known, fmin(ceres, ceres_length(reference, q, best)));
+    for (int m = 0; m < METHODS; m++) {
+      ratio[m][LOCAL][s] = e->length[m][k] / local[m];
+      ratio[m][COLD][s] = e->length[m][k] / from_zero; /* 0 where Ceres is not outside */
+      ratio[m][CERES][s] = e->length[m][k] / ceres;
+      ratio[m][KNOWN][s] = e->length[m][k] / known;
+    }
+    cold[s] = from_zero / known;
+  }
+  printf("\n%d poses: length over Ceres' from the answer; over Ceres' from no move; over Ceres' "
+         "shortest; "
+         "over the shortest known: <= 1.05, median, max\n",
+         n);
+  for (int m = 0; m < METHODS; m++) {
+    printf("%-6s %-12s", e->name, methods[m].name);
+    for (int kind = 0; kind < KINDS; kind++) {
+      print_ratios(ratio[m][kind], n, scratch);
+    }
+    printf("\n");
+  }
+  printf(
+    "over the shortest known  <= 1.001   <= 1.01  <= 1.02  <= 1.05   <= 1.1   <= 1.2   <= 1.5     "
+    "more\n");
+  for (int m = 0; m < METHODS; m++) {
+    print_histogram(e->name, methods[m].name, ratio[m][KNOWN], n);
+  }
+  print_histogram(e->name, "Ceres, cold", cold, n);
   fflush(stdout);
+  for (int m = 0; m < METHODS * KINDS; m++) {
+    free(ratio[m / KINDS][m % KINDS]);
+  }
+  kg_correction_destroy(c);
   least_reference_destroy(reference);
 }
 
@@ -310,16 +448,6 @@ static void run_printed(experiment *e)
 
 /* ---- main ----------------------------------------------------------------------------------------*/
 
-static void *numbers(size_t count)
-{
-  void *memory = calloc(count, sizeof(double));
-  if (!memory) {
-    fprintf(stderr, "correction_states: out of memory\n");
-    exit(1);
-  }
-  return memory;
-}
-
 static void make_poses(experiment *e, uint64_t seed, double deepest)
 {
   const kg_correction_def def = kg_correction_default_def(e->body, e->scene);
@@ -332,46 +460,43 @@ static void make_poses(experiment *e, uint64_t seed, double deepest)
   kg_correction_destroy(probe);
 }
 
-static void run(const kg_body *body, experiment e[2], uint64_t seed, double deepest)
+static void run(const kg_body *body, experiment *e, uint64_t seed, double deepest)
 {
-  static const char *const head = "\nscene  method       converged     depth  iterations       "
-                                  "mean by depth      highest        ms\n"
-                                  "                                         left   med   95%   max "
-                                  "  <.1m  <.2m <.3m   lowest p     med     95%\n";
-  for (int k = 0; k < 2; k++) {
-    const size_t n = (size_t)e[k].count;
-    e[k].body = body;
-    e[k].poses = numbers(n * (size_t)body->nq);
-    e[k].moves = numbers(n * (size_t)body->nv);
-    e[k].length = numbers(n);
-    for (int s = 0; s < 4; s++) {
-      e[k].sample[s] = numbers(n);
-    }
-    make_poses(&e[k], seed, deepest);
+  static const char *const head =
+    "\nscene  method       converged     depth  iterations          of the answer      mean by "
+    "depth"
+    "        highest        ms\n"
+    "                                  left   med   95%   max    med   95%   max   <.1m  <.2m  <.3m"
+    "   lowest p     med     95%\n";
+  const size_t n = (size_t)e->count;
+  e->body = body;
+  e->poses = numbers(n * (size_t)body->nq);
+  for (int m = 0; m < METHODS; m++) {
+    e->moves[m] = numbers(n * (size_t)body->nv);
+    e->length[m] = numbers(n);
   }
+  for (int s = 0; s < 4; s++) {
+    e->sample[s] = numbers(n);
+  }
+  make_poses(e, seed, deepest);
   printf("%s", head);
-  for (int method = 1; method >= 0; method--) {
-    for (int k = 0; k < 2; k++) {
-      run_method(&e[k], (kg_correction_method)method);
-      if (e[k].ceres_count > 0) {
-        printf("  length over Ceres' (from the answer; from no move; the shorter): <= 1.05, "
-               "median, max\n");
-        run_ceres(&e[k], (kg_correction_method)method);
-      }
-    }
+  for (int m = 0; m < METHODS; m++) {
+    run_method(e, m);
   }
-  printf("\nEq. 11 as printed\nscene   poses    ended   steps     95%%  thrown out  gap med, m     "
-         "  95%%       max  gap/depth\n");
-  for (int k = 0; k < 2 && e[k].printed_count > 0; k++) {
-    run_printed(&e[k]);
+  if (e->ceres_count > 0) run_ceres(e, seed);
+  if (e->printed_count > 0) {
+    printf(
+      "\nEq. 11 as printed\nscene   poses    ended   steps     95%%  thrown out  gap med, m       "
+      "95%%       max  gap/depth\n");
+    run_printed(e);
   }
-  for (int k = 0; k < 2; k++) {
-    free(e[k].poses);
-    free(e[k].moves);
-    free(e[k].length);
-    for (int s = 0; s < 4; s++) {
-      free(e[k].sample[s]);
-    }
+  free(e->poses);
+  for (int m = 0; m < METHODS; m++) {
+    free(e->moves[m]);
+    free(e->length[m]);
+  }
+  for (int s = 0; s < 4; s++) {
+    free(e->sample[s]);
   }
 }
 
@@ -380,7 +505,7 @@ int main(int argc, char **argv)
   int count = 10000, ceres_count = 0, printed_count = 0;
   double deepest = 0.3;
   uint64_t seed = 1;
-  const char *path = NULL;
+  const char *path = NULL, *only = NULL;
   for (int i = 1; i < argc; i++) {
     const bool has_value = i + 1 < argc;
     if (strcmp(argv[i], "--poses") == 0 && has_value) {
@@ -393,13 +518,15 @@ int main(int argc, char **argv)
       printed_count = atoi(argv[++i]);
     } else if (strcmp(argv[i], "--deepest") == 0 && has_value) {
       deepest = atof(argv[++i]);
+    } else if (strcmp(argv[i], "--scene") == 0 && has_value) {
+      only = argv[++i];
     } else {
       path = argv[i];
     }
   }
   if (!path || count < 1 || !(deepest > 0.0)) {
     fprintf(stderr, "usage: correction_states [--poses N] [--seed S] [--ceres K] [--printed K] "
-                    "[--deepest M] CLIP\n");
+                    "[--deepest M] [--scene NAME] CLIP\n");
     return 2;
   }
   kg_clip *clip = NULL;
@@ -415,15 +542,16 @@ int main(int argc, char **argv)
     kg_scene mesh = plane;
     mesh.shapes[0] = (kg_sdf_shape){.kind = KG_SHAPE_MESH, .mesh = hills};
     experiment e[2] = {{.scene = &plane, .name = "plane"}, {.scene = &mesh, .name = "mesh"}};
-    for (int k = 0; k < 2; k++) {
-      e[k].count = count;
-      e[k].ceres_count = ceres_count < count ? ceres_count : count;
-      e[k].printed_count = printed_count < count ? printed_count : count;
-    }
     printf("%d poses up to %g m deep, seed %llu, body of %d segments and %d points\n", count,
            deepest, (unsigned long long)seed, subject->body->segment_count,
            subject->body->point_count);
-    run(subject->body, e, seed, deepest);
+    for (int k = 0; k < 2; k++) {
+      if (only && strcmp(only, e[k].name) != 0) continue;
+      e[k].count = count;
+      e[k].ceres_count = ceres_count < count ? ceres_count : count;
+      e[k].printed_count = printed_count < count ? printed_count : count;
+      run(subject->body, &e[k], seed, deepest);
+    }
   } else {
     fprintf(stderr, "correction_states: %s: %s %s\n", path, kg_status_text(status), error.text);
   }

@@ -18,6 +18,7 @@ kg_correction_def kg_correction_default_def(const kg_body *body, const kg_scene 
     .tolerance = 1e-5,
     .eta = 0.1,
     .max_iterations = 200,
+    .starts = 1,
   };
 }
 
@@ -58,12 +59,14 @@ static void allocate(kg_correction *c, kg_arena *arena)
   c->lambda = KG_ARENA_ARRAY(arena, double, rows);
   correction_pose_init(c, arena);
   least_move_init(&c->solver, nv, rows, arena);
+  correction_starts_init(c, arena);
   correction_vjp_init(c, arena);
 }
 
 kg_status kg_correction_create(kg_correction **correction, const kg_correction_def *def)
 {
   KG_ASSERT(correction && def && def->body && def->scene && def->tolerance > 0.0);
+  KG_ASSERT(def->starts >= 1);
   *correction = NULL;
   kg_arena arena;
   kg_arena_init(&arena, def->allocator);
@@ -215,15 +218,14 @@ static void pull_back(kg_correction *c)
   correction_go_to(c, c->D);
 }
 
-/* Second-order steps from D (sampled), and again from where a failed line search left a gap. */
-static bool settle(kg_correction *c, int *iterations)
+bool correction_settle(kg_correction *c, double limit, int *iterations)
 {
-  bool free = correction_least_move(c, iterations);
+  bool free = correction_least_move(c, limit, iterations);
   for (int round = 0; free && round < 2; round++) {
     correction_go_to(c, c->D);
     if (c->lowest <= CORRECTION_GAP_MAX) break;
     pull_back(c);
-    free = correction_least_move(c, iterations);
+    free = correction_least_move(c, limit, iterations);
   }
   if (free) {
     pull_back(c);
@@ -241,13 +243,13 @@ static void find_move(kg_correction *c, int *iterations)
     correction_go_to(c, c->D);
   }
   /* the gradient's way out is not the shortest: the second-order steps also pull it back */
-  if (settle(c, iterations)) return;
+  if (correction_settle(c, INFINITY, iterations)) return;
   memset(c->D, 0, bytes);
   correction_go_to(c, c->D);
   /* between two segments of the body the gradients hold each other; the second order sees past them */
   if (c->self && c->def.method == KG_CORRECTION_GRADIENT) {
     memset(c->multiplier, 0, (size_t)c->key_count * sizeof *c->multiplier);
-    if (settle(c, iterations)) return;
+    if (correction_settle(c, INFINITY, iterations)) return;
     memset(c->D, 0, bytes);
     correction_go_to(c, c->D);
   }
@@ -257,11 +259,10 @@ static void find_move(kg_correction *c, int *iterations)
   }
   kg_body_difference(c->def.body, c->D, c->q_now, c->q0);
   correction_go_to(c, c->D);
-  settle(c, iterations);
+  (void)correction_settle(c, INFINITY, iterations);
 }
 
-/* Samples q and, where it is inside, starts there: D = 0, no multipliers. False: nothing to do, or NaN. */
-static bool begin(kg_correction *c, const double *q)
+bool correction_begin(kg_correction *c, const double *q)
 {
   const size_t nq_bytes = (size_t)c->def.body->nq * sizeof *q;
   c->near = CORRECTION_NEAR;
@@ -285,16 +286,24 @@ kg_correction_report kg_correction_apply(kg_correction *correction, double *q, d
   if (moved) {
     memset(moved, 0, (size_t)c->nv * sizeof *moved);
   }
-  const bool is_inside = begin(c, q);
+  const bool is_inside = correction_begin(c, q);
   kg_correction_report report = {.d_pen_before = c->d_pen,
                                  .d_pen_after = c->d_pen,
                                  .lowest = c->lowest,
                                  .kkt_residual = NAN,
                                  .converged = c->d_pen <= c->def.tolerance};
   if (!is_inside) return report;
+  report.starts = 1;
   find_move(c, &report.iterations);
+  report.iterations_of_answer = report.iterations;
+  if (c->def.method == KG_CORRECTION_SECOND_ORDER && c->def.starts > 1) {
+    correction_try_starts(c, &report);
+  }
   if (c->def.kkt_tolerance > 0.0) {
-    report.kkt_residual = correction_polish(c, &report.iterations);
+    int iterations = 0;
+    report.kkt_residual = correction_polish(c, &iterations);
+    report.iterations += iterations;
+    report.iterations_of_answer += iterations;
   }
   correction_go_to(c, c->D);
   if (!(c->d_pen < report.d_pen_before)) return report; /* no better: leave the pose alone */
@@ -314,7 +323,7 @@ double kg_correction_step(kg_correction *correction, double *q)
 {
   KG_ASSERT(correction && q);
   kg_correction *c = correction;
-  if (!begin(c, q)) return c->d_pen;
+  if (!correction_begin(c, q)) return c->d_pen;
   if (c->def.method == KG_CORRECTION_GRADIENT) {
     (void)correction_gradient_step(c);
   } else {

@@ -1,7 +1,7 @@
 /* Inside physics/: a pose that is moved out of what it touches (kinegrad/correction.h). correction.c
  * has the calls and their order, correction_pose.c what is touched and its derivatives,
- * correction_gradient.c Eq. 11, correction_least.c the least move, correction_vjp.c the derivative of
- * the corrected pose.
+ * correction_gradient.c Eq. 11, correction_least.c the least move, correction_starts.c other ways to it,
+ * correction_vjp.c the derivative of the corrected pose.
  *
  *   q0, q    pose at the start and now, q = q0 (+) D
  *   x_t      sample point of touch t in the world      Phi_t, n_t, H_t   distance and derivatives
@@ -56,6 +56,20 @@ typedef struct correction_adjoint {
   kg_mat3 *E;     /* (n) exp(D) of every rotation                           */
 } correction_adjoint;
 
+/* The least move found so far. */
+typedef struct correction_answer {
+  double length;      /* kg^1/2 m, INFINITY: none                        */
+  double *D;          /* (nv)                                            */
+  double *multiplier; /* (keys)                                          */
+} correction_answer;
+
+/* Where another way begins: no move but the lightest that turns one segment. */
+typedef struct correction_start {
+  int segment;
+  double length; /* of the move that it promises, kg^1/2 m */
+  double *D;     /* (nv)                                    */
+} correction_start;
+
 struct kg_correction {
   kg_correction_def def;
   kg_arena arena;
@@ -92,6 +106,10 @@ struct kg_correction {
   double *C, *W;          /* (nv, nv) sum of lambda Hess Phi; model's factor */
   double *center;         /* (nv) minimum of the model without constraints  */
   least_move solver;
+  correction_answer answer;
+  correction_start *starts; /* (4 n), none when only one way is followed */
+  double *turns, *turned;   /* (3, nv) J and J M^-1 of (32)              */
+  bool *is_inside;          /* (n) at q0                                 */
   correction_adjoint adjoint;
 
   /* rates of the pose along a direction; forces on it */
@@ -128,6 +146,17 @@ double correction_metric(const kg_correction *c, const double *a, const double *
 /* correction.c: M and its factor at q */
 void correction_factor_mass(kg_correction *c, const double *q);
 
+/* correction_starts.c: more ways than the one that led to D; D becomes the least move found. */
+void correction_starts_init(kg_correction *c, kg_arena *arena);
+void correction_try_starts(kg_correction *c, kg_correction_report *report);
+
+/* correction.c: samples q and, where it is inside, starts there: q0 = q, D = 0, no multipliers. False:
+ * nothing to do, or NaN. */
+bool correction_begin(kg_correction *c, const double *q);
+/* Second-order steps from D (sampled), and again from where a failed line search left a gap. False: no
+ * way outside was found, or only to a move longer than `limit`. */
+bool correction_settle(kg_correction *c, double limit, int *iterations);
+
 /* correction_vjp.c */
 void correction_vjp_init(kg_correction *c, kg_arena *arena); /* the solver first */
 
@@ -139,11 +168,14 @@ bool correction_gradient_step(kg_correction *c);
 void correction_descend(kg_correction *c, int *iterations);
 
 /* correction_least.c: from D (sampled) towards the least move that satisfies Phi >= 0. D becomes the
- * smallest move met that leaves d_pen within the tolerance; false when there was none. */
-bool correction_least_move(kg_correction *c, int *iterations);
+ * smallest move met that leaves d_pen within the tolerance; false when there was none, or when the
+ * steps are seen to lead to one longer than `limit`. */
+bool correction_least_move(kg_correction *c, double limit, int *iterations);
 /* Full steps of (25) from D until the conditions of (24) hold to def.kkt_tolerance or steps run out.
  * D becomes the best met; returns its residual. */
 double correction_polish(kg_correction *c, int *iterations);
+/* Length of the move that the next step from D (sampled), without multipliers, leads to. */
+double correction_promise(kg_correction *c);
 /* One step from D = 0, which is sampled. */
 void correction_least_step(kg_correction *c);
 

@@ -12,7 +12,7 @@
 
 #include <string.h>
 
-enum { STEPS = 40, HALVINGS = 8, POLISH_STEPS = 30 };
+enum { STEPS = 40, HALVINGS = 8, POLISH_STEPS = 30, PATIENCE = 2 };
 
 /* Done when a step changes the move by less than this share, */
 #define STEP_SHARE 1e-2
@@ -240,7 +240,14 @@ static void find_goal(kg_correction *c, double *mu)
   }
 }
 
-bool correction_least_move(kg_correction *c, int *iterations)
+double correction_promise(kg_correction *c)
+{
+  double mu = 0.0;
+  find_goal(c, &mu);
+  return sqrt(correction_metric(c, c->goal, c->goal));
+}
+
+bool correction_least_move(kg_correction *c, double limit, int *iterations)
 {
   double mu = 0.0, least = INFINITY;
   for (int step = 0; step <= STEPS; step++) {
@@ -250,6 +257,8 @@ bool correction_least_move(kg_correction *c, int *iterations)
       memcpy(c->D_best, c->D, (size_t)c->nv * sizeof *c->D);
     }
     find_goal(c, &mu);
+    /* the first goals can be far too long: the linearised distances of a turned limb mislead */
+    if (step >= PATIENCE && correction_metric(c, c->goal, c->goal) > limit * limit) return false;
     if ((c->d_pen <= c->def.tolerance && is_settled(c)) || step == STEPS) break;
     if (!step_to_goal(c, mu)) break;
     ++*iterations;

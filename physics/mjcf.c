@@ -1,49 +1,24 @@
 /* A body as a MuJoCo model (MJCF). Numbers have 17 digits; no locale is ever set in this library,
  * so the decimal point is a point.
  *
- * Inertias are diagonalised here, by Jacobi rotations to the last bit: MuJoCo's own
+ * Inertias are diagonalised here to the last bit (physics/principal.h): MuJoCo's own
  * diagonalisation of a full inertia stops at an absolute 1e-12. */
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "kinegrad/body.h"
+#include "physics/principal.h"
 
 typedef struct principal {
   double moments[3];
   kg_quat axes;
 } principal;
 
-/* One Jacobi rotation that zeroes A(p,q); V collects the rotations. */
-static void rotate_away(kg_mat3 *A, kg_mat3 *V, int p, int q)
-{
-  const double apq = A->m[3 * p + q];
-  if (apq == 0.0) {
-    return;
-  }
-  const double theta = 0.5 * (A->m[4 * q] - A->m[4 * p]) / apq;
-  const double t = (theta >= 0.0 ? 1.0 : -1.0) / (fabs(theta) + sqrt(theta * theta + 1.0));
-  const double c = 1.0 / sqrt(t * t + 1.0), s = t * c;
-  kg_mat3 J = kg_mat3_identity();
-  J.m[4 * p] = c;
-  J.m[4 * q] = c;
-  J.m[3 * p + q] = s;
-  J.m[3 * q + p] = -s;
-  *A = kg_mat3_mul(kg_mat3_transposed(J), kg_mat3_mul(*A, J));
-  A->m[3 * p + q] = 0.0;
-  A->m[3 * q + p] = 0.0;
-  *V = kg_mat3_mul(*V, J);
-}
-
 static principal principal_axes(const double I[6])
 {
   kg_mat3 A = {{I[0], I[3], I[4], I[3], I[1], I[5], I[4], I[5], I[2]}};
-  kg_mat3 V = kg_mat3_identity();
-  for (int sweep = 0; sweep < 30; sweep++) {
-    rotate_away(&A, &V, 0, 1);
-    rotate_away(&A, &V, 0, 2);
-    rotate_away(&A, &V, 1, 2);
-  }
+  const kg_mat3 V = principal_diagonalise(&A);
   principal p = {{A.m[0], A.m[4], A.m[8]}, kg_quat_from_matrix(V)};
   /* a flat body has A + B = C, which rounding must not turn into A + B < C */
   for (int k = 0; k < 3; k++) {
