@@ -430,6 +430,33 @@ static void many_points_are_each_point(void **state)
   kg_mesh_destroy(mesh);
 }
 
+/* On each face of the box the interpolant answers, a thousandth of a cell outside the source. */
+static void the_box_ends_at_its_faces(void **state)
+{
+  (void)state;
+  double radius = 0.95; /* near to the middle of every face */
+  const kg_grid_def def =
+    kg_grid_field_def(ball, &radius, kg_vec3_make(-1, -1, -1), kg_vec3_make(1, 1, 1), 12);
+  kg_grid *grid = make_grid(&def);
+  const kg_grid_info info = kg_grid_describe(grid);
+  const double lo[3] = {info.lo.x, info.lo.y, info.lo.z}, hi[3] = {info.hi.x, info.hi.y, info.hi.z};
+  kg_random random = kg_random_make(55);
+  for (int k = 0; k < 60; k++) {
+    const int axis = k % 3, side = k / 3 % 2 ? 1 : -1, is_outside = k / 6 % 2;
+    double at[3];
+    for (int a = 0; a < 3; a++) {
+      at[a] = random_in(&random, -0.1, 0.1);
+    }
+    at[axis] = (side > 0 ? hi : lo)[axis] + side * is_outside * 1e-3 * info.spacing;
+    const kg_vec3 x = kg_vec3_make(at[0], at[1], at[2]);
+    const double exact = kg_vec3_norm(x) - radius;
+    const kg_grid_value v = kg_grid_distance(grid, x);
+    assert_int_equal(v.is_exact, is_outside);
+    assert_close(v.distance, exact, is_outside ? 1e-15 : 1e-2);
+  }
+  kg_grid_destroy(grid);
+}
+
 /* ---- files and threads --------------------------------------------------------------------------*/
 
 static char *path_of(char path[1024], const char *name)
@@ -726,6 +753,7 @@ int main(void)
     cmocka_unit_test(bounds_hold_everywhere),
     cmocka_unit_test(within_is_the_source_or_far),
     cmocka_unit_test(many_points_are_each_point),
+    cmocka_unit_test(the_box_ends_at_its_faces),
     cmocka_unit_test(threads_do_not_show),
     cmocka_unit_test(saved_and_loaded_is_the_same),
     cmocka_unit_test(format_is_the_documented_one),
