@@ -103,8 +103,9 @@ KG_MUST_USE kg_status kg_correct_track(kg_correct_result *result, const kg_subje
 KG_MUST_USE kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
                                      const kg_correct_def *def, kg_arena *arena);
 /* q (frames, nq) = the capture with limbs that are in each other or in another athlete led apart by the
- * smooth method, ground and scene left out, as far as it gets: millimetres can remain. KG_ERR_NO_MEMORY. */
-KG_MUST_USE kg_status kg_part_limbs(double *q, const kg_subject *subject,
-                                    const kg_allocator *allocator);
+ * smooth method, ground and scene left out, as far as it gets: millimetres can remain. *interrupted: set
+ * when def's progress asks for it, which is told of no progress yet. KG_ERR_NO_MEMORY. */
+KG_MUST_USE kg_status kg_part_limbs(double *q, bool *interrupted, const kg_subject *subject,
+                                    const kg_correct_def *def, const kg_allocator *allocator);
 
 #endif

@@ -37,9 +37,8 @@ enum { LINEARISATIONS = 10, MOST_LINEARISATIONS = 20, DUAL_ITERATIONS = 20, MAX_
 
 static const double EASE_TIME_S = 0.1;
 static const double NEAR_M = 0.004; /* points nearer than this get a row        */
-static const double LIMB_NEAR_M =
-  0.03; /* and these of limbs, which turn: without a row a touch that one
-                                           linearisation parts is back in the next */
+/* and these between limbs: without a row a touch that one linearisation parts is back in the next */
+static const double LIMB_NEAR_M = 0.03;
 static const double LEAST_WEIGHT = 0.1; /* kg m^2; of a light joint: legs move, not toes alone */
 static const double ROOT_SHARE =
   0.1; /* the body rises rather than folds straight legs, whose knees jerk */
@@ -714,15 +713,14 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
   return status;
 }
 
-kg_status kg_part_limbs(double *q, const kg_subject *subject, const kg_allocator *allocator)
+kg_status kg_part_limbs(double *q, bool *interrupted, const kg_subject *subject,
+                        const kg_correct_def *def, const kg_allocator *allocator)
 {
-  const kg_correct_def silent = {0};
   kg_arena scratch;
   kg_arena_init(&scratch, allocator);
   smoothing s = make_smoothing(subject, q, KG_STAGE_OTHER_ONLY, PART_M);
-  bool interrupted = false;
   kg_status status = smoothing_create(&s, &scratch);
-  if (status == KG_OK) status = smooth(&s, &silent, LINEARISATIONS, 1.0, &interrupted);
+  if (status == KG_OK) status = smooth(&s, def, LINEARISATIONS, 0.0, interrupted);
   for (int t = 0; status == KG_OK && t < s.T; t++) {
     write_frame(&s, t);
   }

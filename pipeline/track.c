@@ -839,8 +839,9 @@ static kg_status create_reference(kg_reference *reference, const tracker *s, kg_
   if (apart.self || apart.other) {
     apart.q = KG_ARENA_ARRAY(arena, double, apart.frame_count *apart.body->nq);
     if (!apart.q) return KG_ERR_NO_MEMORY;
-    const kg_status status = kg_part_limbs(apart.q, s->subject, arena->allocator);
-    if (status != KG_OK) return status;
+    const kg_status status =
+      kg_part_limbs(apart.q, &s->result->interrupted, s->subject, s->def, arena->allocator);
+    if (status != KG_OK || s->result->interrupted) return status;
   }
   return kg_reference_create(reference, &apart, &s->def->track, s->h, s->def->gravity,
                              s->def->contact.friction, arena);
@@ -862,12 +863,12 @@ kg_status kg_correct_track(kg_correct_result *result, const kg_subject *subject,
                .result = result,
                .h = shortest};
   kg_status status = create_reference(&reference, &s, &scratch);
-  if (status == KG_OK) {
+  if (status == KG_OK && !result->interrupted) {
     result->substepped_frames = KG_ARENA_ARRAY(arena, int, reference.count);
     result->restart_frames = KG_ARENA_ARRAY(arena, int, reference.count);
     status = kg_arena_failed(arena) ? KG_ERR_NO_MEMORY : tracker_create(&s, &scratch);
   }
-  if (status == KG_OK) {
+  if (status == KG_OK && !result->interrupted) {
     run(&s);
     const double frames = result->frame_count;
     result->ms_step = s.ms_step / frames;

@@ -276,12 +276,12 @@ static void progress_may_stop_it(void **state)
   kg_clip_destroy(clip);
 }
 
-static void refused_memory_leaves_nothing_behind(void **state)
+static void refuse_memory(bool self)
 {
-  (void)state;
   kg_clip *clip = standing_clip(4, DT);
   kg_subject *subject = subject_on(clip, 0.0);
   subject->scene = kg_scene_ground(0.02, kg_vec3_make(0, 1, 0));
+  subject->self = self;
   int allowed = 0;
   for (; allowed < 200; allowed++) {
     failing_heap heap = {.calls_left = allowed};
@@ -305,6 +305,13 @@ static void refused_memory_leaves_nothing_behind(void **state)
   assert_true(allowed > 3 && allowed < 200);
   kg_subject_destroy(subject);
   kg_clip_destroy(clip);
+}
+
+static void refused_memory_leaves_nothing_behind(void **state)
+{
+  (void)state;
+  refuse_memory(false);
+  refuse_memory(true);
 }
 
 int main(void)
