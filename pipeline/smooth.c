@@ -701,7 +701,8 @@ kg_status kg_correct_sdf(kg_correct_result *result, const kg_subject *subject,
   smoothing s = make_smoothing(subject, result->q, KG_STAGE_ALL, AIM_M);
   s.result = result;
   kg_status status = smoothing_create(&s, &scratch);
-  if (status == KG_OK) status = smooth(&s, def, MOST_LINEARISATIONS, 0.8, &result->interrupted);
+  const int most = subject->self || subject->other ? MOST_LINEARISATIONS : LINEARISATIONS;
+  if (status == KG_OK) status = smooth(&s, def, most, 0.8, &result->interrupted);
   if (status == KG_OK && !result->interrupted) status = finish_frames(&s, def);
   smoothing_destroy(&s);
   kg_arena_release(&scratch);
