@@ -330,20 +330,30 @@ static kg_status check_shared(const reader *r, const grid_view *g, const int blo
   return KG_OK;
 }
 
+static kg_status check_beyond(const reader *r, const grid_view *g, int number, const int at[3])
+{
+  static const float zero[4] = {0.0f};
+  const float *v = g->node + 4 * grid_node_at(number, at[0], at[1], at[2]);
+  if (memcmp(v, zero, sizeof zero) == 0) return KG_OK;
+  return REFUSE(r, "byte %zu: a node beyond the grid that is not zero",
+                byte_of(g, number, at[0], at[1], at[2]));
+}
+
 static kg_status check_block(const reader *r, const kg_grid *grid, const int block[3])
 {
   const grid_view *g = &grid->view;
+  const int number = g->block[grid_block_at(g, block[0], block[1], block[2])];
   const int last[3] = {last_node(g, 0, block[0]), last_node(g, 1, block[1]),
                        last_node(g, 2, block[2])};
   kg_status status = KG_OK;
-  for (int k = 0; k <= last[2]; k++) {
-    for (int j = 0; j <= last[1]; j++) {
-      for (int i = 0; i <= last[0] && status == KG_OK; i++) {
-        const int at[3] = {i, j, k};
-        status = check_node(r, grid, block, at);
-        if (status == KG_OK) status = check_shared(r, g, block, at);
-      }
+  for (int n = 0; n < GRID_BLOCK_NODES && status == KG_OK; n++) {
+    const int at[3] = {n % GRID_ROW, n / GRID_ROW % GRID_ROW, n / GRID_SLICE};
+    if (at[0] > last[0] || at[1] > last[1] || at[2] > last[2]) {
+      status = check_beyond(r, g, number, at);
+      continue;
     }
+    status = check_node(r, grid, block, at);
+    if (status == KG_OK) status = check_shared(r, g, block, at);
   }
   return status;
 }

@@ -637,13 +637,14 @@ static void damaged_files_are_refused(void **state)
     assert_int_equal(load_bytes(bytes, cut, &error), KG_ERR_FORMAT);
   }
   free(bytes);
-  const char *names[] = {"cut", "huge", "nan", "far", "blocks", "torn"};
+  const char *names[] = {"cut", "huge", "nan", "far", "blocks", "torn", "beyond"};
   const char *words[] = {"the file has 200 bytes",
                          "nodes, expected less",
                          "checksum",
                          "too little so far from the origin",
                          "2147483647 blocks near the surface",
-                         "differs from the same one in another block"};
+                         "differs from the same one in another block",
+                         "a node beyond the grid that is not zero"};
   for (int i = 0; i < (int)KG_COUNT_OF(names); i++) {
     char path[1024];
     kg_grid *grid;
